@@ -176,6 +176,19 @@ pub struct Trajectories {
 }
 
 impl Trajectories {
+    /// Makes room for a batch. What is there is left as it is: a kernel writes all of it.
+    pub(crate) fn shape(&mut self, count: usize, dim: usize, levels: usize) {
+        self.dim = dim;
+        self.levels = levels;
+        self.lane_steps = 0;
+        self.end.resize(count * dim, f64::NAN);
+        self.end_time.resize(count, f64::NAN);
+        self.status.resize(count, Status::NotFinite);
+        self.steps.resize(count, 0);
+        self.rejected.resize(count, 0);
+        self.samples.resize(count * levels * (1 + dim), f64::NAN);
+    }
+
     pub fn count(&self) -> usize {
         self.status.len()
     }
@@ -243,6 +256,10 @@ pub enum BackendError {
         "one trajectory of {bytes} bytes does not fit the adapter's limit of {limit} bytes a buffer; ask for fewer samples"
     )]
     TooLarge { bytes: u64, limit: u64 },
+    #[error(
+        "what a sweep had set aside in the directory for temporary files could not be read again: {0}"
+    )]
+    SetAside(std::io::Error),
     /// Work with a [`Deadline`] was given up; what it had found is lost.
     #[error("the time given is over")]
     OutOfTime,
@@ -496,11 +513,31 @@ pub trait Relay: Send {
 pub trait Kernel: Send {
     /// Integrates `seeds` (`[trajectory][dim]`, f64 whatever the precision) as one batch. The
     /// caller bounds the batch (see [`batch_limit`]); a trajectory's result does not depend on the
-    /// batch it is in.
+    /// batch it is in. `to` is overwritten, and its memory used again.
     ///
     /// # Errors
     /// Device failures only.
-    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError>;
+    fn integrate_into(
+        &mut self,
+        run: &Run,
+        seeds: &[f64],
+        to: &mut Trajectories,
+    ) -> Result<(), BackendError>;
+
+    /// [`Kernel::integrate_into`], with memory of its own.
+    ///
+    /// # Errors
+    /// Device failures only.
+    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+        let mut batch = Trajectories::default();
+        self.integrate_into(run, seeds, &mut batch)?;
+        Ok(batch)
+    }
+
+    /// Trajectories a batch from which on larger ones are no faster.
+    fn fill(&self) -> usize {
+        usize::MAX
+    }
 
     /// The kernel for callers that spread trajectories over threads themselves, for one run; `None`
     /// of a device that takes a batch as a whole.

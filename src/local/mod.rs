@@ -16,7 +16,7 @@ pub use linearization::Linearization;
 pub use polynomial::LocalPolynomial;
 pub(crate) use riccati::eigenvalues_of;
 pub use riccati::{Riccati, closed_loop_margin, linear_law, show_eigenvalue};
-pub use seeds::{LocalSolution, SeedChoice};
+pub use seeds::{LocalSolution, SeedChoice, SeedScratch};
 
 /// Why no local solution exists, or none that the sweep can start from.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -285,21 +285,39 @@ impl LocalSolution {
     /// front far out comes from a thin part of the seed ellipsoid. Directions on the outer
     /// ellipsoid, brought inward along the linear flow, put the seeds where the fronts need them.
     pub fn seed(&self, direction: &[f64]) -> Vec<f64> {
-        self.at(&self.flow.inward(direction))
+        let mut seed = vec![0.0; 2 * direction.len() + 1];
+        self.seed_into(direction, &mut seed, &mut SeedScratch::default());
+        seed
+    }
+
+    /// [`LocalSolution::seed`], into memory that is there: `seed` has room for `(s, p, V)`.
+    pub fn seed_into(&self, direction: &[f64], seed: &mut [f64], scratch: &mut SeedScratch) {
+        self.flow.inward(direction, scratch);
+        let SeedScratch { z, monomials, .. } = scratch;
+        self.fill(z, monomials, seed);
     }
 
     /// `(s, p, V)` of the local solution at `s = t z`.
     fn at(&self, z: &[f64]) -> Vec<f64> {
-        let m = self.basis.monomials(z);
-        let dot = |c: &[f64]| c.iter().zip(&m).map(|(c, m)| c * m).sum::<f64>();
-        let q = DVector::from_iterator(z.len(), self.gradient.iter().map(|g| dot(g)));
-        let s = &self.t * DVector::from_column_slice(z);
-        let p = &self.to_adjoint * q;
-        s.iter()
-            .chain(p.iter())
-            .copied()
-            .chain([dot(&self.value)])
-            .collect()
+        let mut at = vec![0.0; 2 * z.len() + 1];
+        self.fill(z, &mut Vec::new(), &mut at);
+        at
+    }
+
+    /// [`LocalSolution::at`], into memory that is there.
+    fn fill(&self, z: &[f64], monomials: &mut Vec<f64>, to: &mut [f64]) {
+        let n = z.len();
+        self.basis.monomials_into(z, monomials);
+        let dot = |c: &[f64]| c.iter().zip(&*monomials).map(|(c, m)| c * m).sum::<f64>();
+        let (s, rest) = to.split_at_mut(n);
+        let (p, value) = rest.split_at_mut(n);
+        multiply(&self.t, z, s);
+        p.fill(0.0);
+        for (column, g) in self.to_adjoint.as_slice().chunks_exact(n).zip(&self.gradient) {
+            let q = dot(g);
+            p.iter_mut().zip(column).for_each(|(p, c)| *p += c * q);
+        }
+        value[0] = dot(&self.value);
     }
 
     /// V of the local solution at a deviation `s`, with `p`.
@@ -339,6 +357,18 @@ struct Flow {
     step: f64,
     outer_radius: f64,
     radius: f64,
+    /// The powers that may leave a point of the outer sphere outside the inner one.
+    useful: usize,
+}
+
+/// Memory that seeds are computed in.
+#[derive(Clone, Debug, Default)]
+pub struct SeedScratch {
+    z: Vec<f64>,
+    next: Vec<f64>,
+    term: Vec<f64>,
+    rate: Vec<f64>,
+    monomials: Vec<f64>,
 }
 
 impl Flow {
@@ -347,6 +377,7 @@ impl Flow {
     const TERMS: usize = 10;
     /// Powers of the shortest step that are tried: enough for any ratio of values that f64 holds.
     const POWERS: usize = 40;
+    const NEWTON: usize = 6;
 
     fn new(rate: DMatrix<f64>, outer: f64, inner: f64) -> Self {
         let step = Self::STEP / rate.norm();
@@ -354,12 +385,17 @@ impl Flow {
         for k in 1..Self::POWERS {
             powers.push(&powers[k - 1] * &powers[k - 1]);
         }
+        let (outer_radius, radius) = ((2.0 * outer).sqrt(), (2.0 * inner).sqrt());
+        // What the longest steps leave of any vector is less than this norm of it.
+        let is_of_use = |power: &DMatrix<f64>| power.norm() * outer_radius > radius;
+        let useful = powers.iter().rposition(is_of_use).map_or(0, |k| k + 1);
         Self {
             rate,
             powers,
             step,
-            outer_radius: (2.0 * outer).sqrt(),
-            radius: (2.0 * inner).sqrt(),
+            outer_radius,
+            radius,
+            useful,
         }
     }
 
@@ -375,49 +411,62 @@ impl Flow {
         sum
     }
 
-    /// The point where the trajectory from a direction on the outer sphere meets the inner sphere.
-    /// `|z|` never rises along the flow: the longest steps that stay outside come first, Newton's
-    /// method finds the rest of the time.
-    fn inward(&self, direction: &[f64]) -> Vec<f64> {
+    /// The point, `scratch.z`, where the trajectory from a direction on the outer sphere meets the
+    /// inner sphere. `|z|` never rises along the flow: the longest steps that stay outside come
+    /// first, Newton's method finds the rest of the time.
+    fn inward(&self, direction: &[f64], scratch: &mut SeedScratch) {
         let norm = |z: &[f64]| z.iter().map(|x| x * x).sum::<f64>().sqrt();
-        let mut z: Vec<f64> = direction.iter().map(|x| x * self.outer_radius).collect();
+        scratch.z.clear();
+        (scratch.z).extend(direction.iter().map(|x| x * self.outer_radius));
         if self.outer_radius > self.radius {
-            let mut next = vec![0.0; z.len()];
-            for power in self.powers.iter().rev() {
-                multiply(power, &z, &mut next);
-                if norm(&next) > self.radius {
-                    std::mem::swap(&mut z, &mut next);
+            scratch.next.resize(direction.len(), 0.0);
+            for power in self.powers[..self.useful].iter().rev() {
+                multiply(power, &scratch.z, &mut scratch.next);
+                if norm(&scratch.next) > self.radius {
+                    std::mem::swap(&mut scratch.z, &mut scratch.next);
                 }
             }
             let mut t = 0.0;
-            for _ in 0..6 {
-                let (moved, rate) = self.moved(&z, t);
-                let slope: f64 = moved.iter().zip(&rate).map(|(x, v)| x * v).sum();
-                let excess = 0.5 * (norm(&moved).powi(2) - self.radius.powi(2));
+            self.advance(t, scratch);
+            for _ in 0..Self::NEWTON {
+                let (moved, rate) = (&scratch.next, &scratch.rate);
+                let slope: f64 = moved.iter().zip(rate).map(|(x, v)| x * v).sum();
+                let excess = 0.5 * (norm(moved).powi(2) - self.radius.powi(2));
+                let before = t;
                 if slope < 0.0 {
                     t = (t - excess / slope).clamp(0.0, self.step);
                 }
+                if t == before {
+                    break;
+                }
+                self.advance(t, scratch);
             }
-            z = self.moved(&z, t).0;
+            std::mem::swap(&mut scratch.z, &mut scratch.next);
         }
-        let scale = self.radius / norm(&z);
-        z.iter().map(|x| x * scale).collect()
+        let scale = self.radius / norm(&scratch.z);
+        scratch.z.iter_mut().for_each(|x| *x *= scale);
     }
 
-    /// The point a short time further, and its rate.
-    fn moved(&self, z: &[f64], t: f64) -> (Vec<f64>, Vec<f64>) {
-        let mut term = z.to_vec();
-        let mut sum = z.to_vec();
-        let mut next = vec![0.0; z.len()];
+    /// The point a short time after `scratch.z`, as `scratch.next`, and its rate.
+    fn advance(&self, t: f64, scratch: &mut SeedScratch) {
+        let SeedScratch {
+            z,
+            next: sum,
+            term,
+            rate,
+            ..
+        } = scratch;
+        term.clone_from(z);
+        sum.clone_from(z);
+        rate.resize(z.len(), 0.0);
         for k in 1..=Self::TERMS {
-            multiply(&self.rate, &term, &mut next);
+            multiply(&self.rate, term, rate);
             let factor = t / k as f64;
-            next.iter_mut().for_each(|x| *x *= factor);
-            std::mem::swap(&mut term, &mut next);
-            sum.iter_mut().zip(&term).for_each(|(s, x)| *s += x);
+            rate.iter_mut().for_each(|x| *x *= factor);
+            std::mem::swap(term, rate);
+            sum.iter_mut().zip(&*term).for_each(|(s, x)| *s += x);
         }
-        multiply(&self.rate, &sum, &mut next);
-        (sum, next)
+        multiply(&self.rate, sum, rate);
     }
 }
 

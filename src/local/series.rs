@@ -132,12 +132,18 @@ impl Basis {
 
     /// Values of all monomials at a point.
     pub fn monomials(&self, z: &[f64]) -> Vec<f64> {
-        let mut values = Vec::with_capacity(self.exponents.len());
+        let mut values = Vec::new();
+        self.monomials_into(z, &mut values);
+        values
+    }
+
+    /// [`Basis::monomials`], into memory that is there.
+    pub fn monomials_into(&self, z: &[f64], values: &mut Vec<f64>) {
+        values.clear();
         values.push(1.0);
         for (lower, v) in &self.factors {
             values.push(values[*lower as usize] * z[*v as usize]);
         }
-        values
     }
 }
 

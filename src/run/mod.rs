@@ -131,7 +131,7 @@ impl Session<'_> {
             .then(|| output.file.trajectories(&schema))
             .transpose()?;
         let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
-            Some(writer) => Ok(writer.append(&block)?),
+            Some(writer) => Ok(writer.append(block)?),
             None => Ok(()),
         })?;
         drop(writer);

@@ -413,16 +413,16 @@ pub fn at_equilibrium(model: &Model, error: &LocalError) -> ScenarioErrors {
 }
 
 /// Adds a block to the trajectories.
-fn keep(all: &mut SweptTrajectories, block: TrajectoryBlock) {
+fn keep(all: &mut SweptTrajectories, block: &TrajectoryBlock) {
     all.count += block.count;
-    all.t.extend(block.t);
-    all.x.extend(block.x);
-    all.p.extend(block.p);
-    all.u.extend(block.u);
-    all.v.extend(block.v);
-    all.h.extend(block.h);
-    all.status.extend(block.status);
-    all.sheet.extend(block.sheet);
+    all.t.extend_from_slice(&block.t);
+    all.x.extend_from_slice(&block.x);
+    all.p.extend_from_slice(&block.p);
+    all.u.extend_from_slice(&block.u);
+    all.v.extend_from_slice(&block.v);
+    all.h.extend_from_slice(&block.h);
+    all.status.extend_from_slice(&block.status);
+    all.sheet.extend_from_slice(&block.sheet);
 }
 
 #[cfg(test)]

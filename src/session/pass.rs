@@ -15,7 +15,6 @@ use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Answers, Archive, Entry, PointStatus};
 use std::sync::Arc;
-use std::sync::mpsc::sync_channel;
 
 /// A pass that is planned, and has not begun.
 pub struct Pass<'s> {
@@ -134,7 +133,7 @@ impl Pass<'_> {
     /// Those of the computation, and of `write`.
     pub fn perform<E: From<SessionError>>(
         self,
-        write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+        write: Write<'_, E>,
     ) -> Result<Outcome, E> {
         let Pass {
             session,
@@ -164,10 +163,7 @@ impl Pass<'_> {
         let mut archive = solves.then(|| Archive::new(&outcome.plan));
         let direct = !stored && value::goes_without_sweep(&outcome.plan);
         if !direct {
-            let write = &mut |block| match stored {
-                true => write(block),
-                false => Ok(()),
-            };
+            let write = stored.then_some(write);
             outcome.swept = session.sweep_into(&outcome.plan, archive.as_mut(), write)?;
         }
         if let Some(archive) = &mut archive {
@@ -218,8 +214,7 @@ impl Session<'_> {
         // What nothing has led to may have a swept trajectory near it.
         let may_need_sweep = direct && value::may_need_sweep(plan) && !found.stopped;
         if may_need_sweep && found.lacks_guesses() {
-            outcome.swept =
-                self.sweep_into::<SessionError>(plan, Some(archive), &mut |_| Ok(()))?;
+            outcome.swept = self.sweep_into::<SessionError>(plan, Some(archive), None)?;
             found = self.answers(plan, &mut solver, archive, targets)?;
         }
         outcome.listed = if targets.listed { targets.points() } else { 0 };
@@ -329,7 +324,7 @@ impl Session<'_> {
         &self,
         plan: &Plan,
         mut archive: Option<&mut Archive>,
-        write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+        write: Option<Write<'_, E>>,
     ) -> Result<SweepReport, E> {
         let mut keep = |seeds: &[f64], batch: &Trajectories| {
             if let Some(archive) = &mut archive {
@@ -346,8 +341,8 @@ impl Session<'_> {
     }
 }
 
-/// Sweeps on a thread of its own while this one writes, so that writing takes none of the sweep's
-/// time.
+/// Sweeps, and tells of it; blocks of trajectories go to `write`, if there is one, while the next
+/// ones are integrated.
 ///
 /// # Errors
 /// Device failures, and those of `write`.
@@ -356,16 +351,13 @@ pub fn sweep_and_write<E: From<SessionError>>(
     backend: &dyn Backend,
     progress: &dyn Progress,
     keep: &mut (dyn FnMut(&[f64], &Trajectories) + Send),
-    write: &mut dyn FnMut(TrajectoryBlock) -> Result<(), E>,
+    write: Option<Write<'_, E>>,
 ) -> Result<SweepReport, E> {
-    /// The writing side has stopped; its own error says why.
-    enum Stop {
-        Backend(BackendError),
-        Gone,
-    }
-    impl From<BackendError> for Stop {
+    /// An error of either side.
+    struct Failure<E>(E);
+    impl<E: From<SessionError>> From<BackendError> for Failure<E> {
         fn from(e: BackendError) -> Self {
-            Stop::Backend(e)
+            Failure(E::from(e.into()))
         }
     }
 
@@ -373,29 +365,17 @@ pub fn sweep_and_write<E: From<SessionError>>(
     let mut shown = |done: usize, waiting: usize| {
         step.say(&format!("{done} trajectories, {waiting} gaps to fill"));
     };
-    std::thread::scope(|scope| {
-        // One block waits while one is written: memory stays bounded when writing is slower.
-        let (send, receive) = sync_channel::<TrajectoryBlock>(1);
-        let worker = scope.spawn(|| {
-            // Owned here, so that the receiver sees the end.
-            let send = send;
-            let sink = &mut |block| send.send(block).map_err(|_| Stop::Gone);
-            sweep_keeping(plan, backend, &mut shown, keep, sink)
-        });
-        let mut written = Ok(());
-        for block in receive {
-            written = write(block);
-            if written.is_err() {
-                break;
-            }
+    let swept = match write {
+        None => sweep_keeping(plan, backend, &mut shown, keep, None),
+        Some(write) => {
+            let sink = &mut |block: &TrajectoryBlock| write(block).map_err(Failure);
+            sweep_keeping(plan, backend, &mut shown, keep, Some(sink))
         }
-        let swept = worker.join().map_err(|_| SessionError::Thread)?;
-        written?;
-        swept.map_err(|e| match e {
-            Stop::Backend(e) => E::from(e.into()),
-            Stop::Gone => E::from(SessionError::Thread),
-        })
-    })
+    };
+    swept.map_err(|Failure(e)| e)
 }
+
+/// Takes blocks of swept trajectories.
+pub type Write<'w, E> = &'w mut dyn FnMut(&TrajectoryBlock) -> Result<(), E>;
 
 crate::opaque!(Pass<'_>, Outcome);

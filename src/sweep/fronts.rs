@@ -1,23 +1,39 @@
 //! Refinement of fronts: neighbours further apart than the spacing on any front get a seed between
 //! them.
+//!
+//! A round is integrated as one batch or a few; of each batch what is reported and what neighbours
+//! are compared by is computed in one parallel pass over its samples. Edges are judged, and new
+//! seeds computed, in parallel; only the neighbourhoods themselves change one by one. What is to be
+//! written goes to another thread, and memory comes back from there.
 
 use super::caustic::FoldPoint;
-use super::complex::{Complex, Edge, Vertex, Waiting};
-use super::observe::Observed;
+use super::complex::{Complex, Edge, Ends, Vertex, Waiting};
+use super::gaps::Gaps;
+use super::nodes::{Nodes, Slot, State};
+use super::observe::{self, Observed, Strip};
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
+use super::surface::Guarded;
 use crate::backend::{Backend, BackendError, Kernel, Status, Trajectories, batch_limit};
+use crate::local::SeedScratch;
 use crate::model::Precision;
 use crate::trajectories::TrajectoryBlock;
 use rayon::prelude::*;
-use std::collections::{BTreeMap, HashMap};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 
 /// Edges that are judged at once: between them the deadline is looked at. Of many states a round
 /// has hundreds of thousands.
 const JUDGED: usize = 1 << 15;
 /// Seeds a round: enough to fill a device, few enough that what is open stays small.
 const ROUND: usize = 8192;
+/// Trajectories that are observed at once, whose samples stay near a core.
+const STRIP: usize = 32;
+/// Edges or seeds a task has at least.
+const TASK: usize = 64;
+/// Edges that may wait although the cap leaves them no seed: they are counted and forgotten only
+/// where they are more than that.
+const KEPT: usize = 1 << 17;
 
 /// How well the fronts are covered.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -59,30 +75,77 @@ pub struct SweepReport {
 }
 
 /// Told after each round: trajectories done, pairs that still wait for a seed.
-pub type Progress<'a> = &'a mut dyn FnMut(usize, usize);
+pub type Progress<'a> = &'a mut (dyn FnMut(usize, usize) + Send);
 
-/// What is kept of a vertex while it has open edges.
-struct Node {
-    parameter: Vec<f64>,
-    /// `(s, p, V)`.
-    seed: Vec<f64>,
-    state: NodeState,
-    /// On the boundary of a guard: nothing is between it and an outside neighbour.
-    boundary: bool,
+/// Takes finished blocks; its memory is used again.
+pub type Sink<'a, E> = &'a mut dyn FnMut(&TrajectoryBlock) -> Result<(), E>;
+
+/// Told of each batch: its seeds and what became of them.
+pub type Keep<'a> = &'a mut (dyn FnMut(&[f64], &Trajectories) + Send);
+
+/// Sweeps a plan on a backend; finished trajectories go to `sink` in order, block by block.
+///
+/// # Errors
+/// Failures of the backend, or of the sink (as its own error).
+pub fn sweep<E: From<BackendError>>(
+    plan: &Plan,
+    backend: &dyn Backend,
+    progress: Progress<'_>,
+    sink: Sink<'_, E>,
+) -> Result<SweepReport, E> {
+    sweep_keeping(plan, backend, progress, &mut |_, _| {}, Some(sink))
 }
 
-enum NodeState {
-    Pending,
-    /// Outside a guard: not swept.
-    Outside,
-    Swept(Swept),
+/// [`sweep`], handing each batch to `keep` as the backend gave it. Without a sink no blocks are
+/// made.
+///
+/// # Errors
+/// As [`sweep`].
+pub fn sweep_keeping<E: From<BackendError>>(
+    plan: &Plan,
+    backend: &dyn Backend,
+    progress: Progress<'_>,
+    keep: Keep<'_>,
+    sink: Option<Sink<'_, E>>,
+) -> Result<SweepReport, E> {
+    let mut kernel = backend.compile(&plan.spec)?;
+    let observed = Observed::new(plan);
+    let mut fronts = Fronts::new(plan, &observed);
+    let Some(sink) = sink else {
+        fronts.sweep(kernel.as_mut(), progress, keep, None)?;
+        return Ok(fronts.finished());
+    };
+    std::thread::scope(|scope| {
+        // One block waits while one is written: memory stays bounded when writing is slower.
+        let (send, receive) = sync_channel::<TrajectoryBlock>(1);
+        let (back, used) = channel();
+        let worker = scope.spawn(move || {
+            let written = Written { send, used };
+            let swept = fronts.sweep(kernel.as_mut(), progress, keep, Some(&written));
+            swept.map(|()| fronts.finished())
+        });
+        let mut written = Ok(());
+        for block in receive {
+            written = sink(&block);
+            if written.is_err() {
+                break;
+            }
+            // Nobody takes it any more at the end.
+            let _ = back.send(block);
+        }
+        let swept = match worker.join() {
+            Ok(swept) => swept,
+            Err(panic) => std::panic::resume_unwind(panic),
+        };
+        written?;
+        Ok(swept?)
+    })
 }
 
-struct Swept {
-    /// Deviations in widths of the region at each level passed.
-    path: Vec<f32>,
-    /// The same where the trajectory has ended in a fold.
-    fold: Option<Vec<f32>>,
+/// Where blocks go, and come back from when they are written.
+struct Written {
+    send: SyncSender<TrajectoryBlock>,
+    used: Receiver<TrajectoryBlock>,
 }
 
 /// What an edge turns out to need.
@@ -90,131 +153,45 @@ enum Verdict {
     /// An end has not been swept yet.
     Unknown,
     Settled,
-    /// Further apart than the spacing.
-    Gap(f32),
-    /// A guard's boundary lies between.
-    Boundary,
+    /// A seed between its ends: they are further apart than the spacing, or a guard's boundary
+    /// (told as a gap of 1) lies between. With the edge's root.
+    Apart(f32, u32),
+}
+
+/// A seed half-way, or on the boundary of a guard.
+#[derive(Clone, Copy, Default)]
+struct Middle {
+    guarded: Guarded,
+    /// One of its neighbours is outside a guard.
+    at_guard: bool,
+    /// Whether the precision tells it from its neighbours.
+    distinct: bool,
 }
 
 struct Fronts<'a> {
     plan: &'a Plan,
+    observed: &'a Observed,
     complex: Complex,
-    nodes: HashMap<Vertex, Node>,
+    nodes: Nodes,
+    gaps: Gaps,
     waiting: Waiting,
     deferred: Vec<Edge>,
     pending: Vec<Vertex>,
     /// Swept, but not compared with their neighbours yet.
     unjudged: usize,
-    /// The region in its own widths; endless along periodic states, whose every period meets it
-    /// somewhere.
-    bounds: Vec<[f32; 2]>,
+    /// Whether a vertex was placed that will not be swept: its edges can be judged at once.
+    placed_outside: bool,
     sampler: Sampler,
+    /// What is told of each trajectory.
+    status: Vec<i32>,
+    /// Memory of batches, for the next one.
+    seeds: Vec<f64>,
+    batch: Trajectories,
     report: SweepReport,
 }
 
-/// Sweeps a plan on a backend; finished trajectories go to `sink` in order, block by block.
-///
-/// # Errors
-/// Failures of the backend, or of the sink (as its own error).
-pub fn sweep<E: From<BackendError> + Send>(
-    plan: &Plan,
-    backend: &dyn Backend,
-    progress: Progress<'_>,
-    sink: Sink<'_, E>,
-) -> Result<SweepReport, E> {
-    sweep_keeping(plan, backend, progress, &mut |_, _| {}, sink)
-}
-
-/// Takes finished blocks; on a thread of its own.
-pub type Sink<'a, E> = &'a mut (dyn FnMut(TrajectoryBlock) -> Result<(), E> + Send);
-
-/// Told of each batch: its seeds and what became of them.
-pub type Keep<'a> = &'a mut dyn FnMut(&[f64], &Trajectories);
-
-/// [`sweep`], handing each batch to `keep` as the backend gave it.
-///
-/// # Errors
-/// As [`sweep`].
-pub fn sweep_keeping<E: From<BackendError> + Send>(
-    plan: &Plan,
-    backend: &dyn Backend,
-    progress: Progress<'_>,
-    keep: Keep<'_>,
-    sink: Sink<'_, E>,
-) -> Result<SweepReport, E> {
-    let mut kernel = backend.compile(&plan.spec)?;
-    let observed = Observed::new(plan);
-    let mut fronts = Fronts::new(plan);
-    std::thread::scope(|scope| {
-        // What is reported of a batch is computed while the next one is prepared and integrated;
-        // memory stays bounded.
-        let (send, receive) = sync_channel::<Trajectories>(1);
-        let observer = scope.spawn(move || observe(plan, &observed, receive, sink));
-        let finished = loop {
-            match fronts.integrate(kernel.as_mut(), keep, &send) {
-                Ok(true) => {}
-                // The observer has stopped; it says why.
-                Ok(false) => break Ok(()),
-                Err(e) => break Err(e),
-            }
-            // Of many states judging takes longer than integrating.
-            if fronts.is_stopped() {
-                break Ok(());
-            }
-            fronts.judge();
-            fronts.report.rounds += 1;
-            progress(fronts.report.trajectories, fronts.waiting.len());
-            if !fronts.next_round() {
-                break Ok(());
-            }
-        };
-        drop(send);
-        let seen = match observer.join() {
-            Ok(seen) => seen?,
-            Err(panic) => std::panic::resume_unwind(panic),
-        };
-        finished?;
-        let mut report = fronts.finished();
-        (report.drift, report.relative_drift, report.by_status) =
-            (seen.drift, seen.relative_drift, seen.by_status);
-        report.folds = seen.folds;
-        Ok(report)
-    })
-}
-
-/// What the trajectories of a sweep are told by.
-#[derive(Default)]
-struct Seen {
-    drift: Vec<f64>,
-    relative_drift: Vec<f64>,
-    by_status: BTreeMap<i32, usize>,
-    folds: Vec<FoldPoint>,
-}
-
-/// Hands on what is reported of each batch.
-fn observe<E>(
-    plan: &Plan,
-    observed: &Observed,
-    batches: Receiver<Trajectories>,
-    sink: Sink<'_, E>,
-) -> Result<Seen, E> {
-    let mut seen = Seen::default();
-    for batch in batches {
-        let (block, relative) = observed.block(plan, &batch);
-        seen.folds
-            .extend(observed.folds(plan, &batch, &block.status, seen.drift.len()));
-        seen.drift.extend_from_slice(&block.hamiltonian_drift);
-        seen.relative_drift.extend(relative);
-        for code in &block.status {
-            *seen.by_status.entry(*code).or_default() += 1;
-        }
-        sink(block)?;
-    }
-    Ok(seen)
-}
-
 impl<'a> Fronts<'a> {
-    fn new(plan: &'a Plan) -> Self {
+    fn new(plan: &'a Plan, observed: &'a Observed) -> Self {
         let (complex, parameters) = plan.surface.triangulation(plan.shoot_out.max_seeds);
         let bounds = (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
             .map(|(([lo, hi], w), periodic)| {
@@ -225,49 +202,79 @@ impl<'a> Fronts<'a> {
                 }
             })
             .collect();
+        let n = plan.system.states;
         let mut this = Self {
             plan,
+            observed,
             complex,
-            nodes: HashMap::new(),
+            nodes: Nodes::new(n, parameters.first().map_or(n, Vec::len), plan.samples()),
+            gaps: Gaps {
+                bounds,
+                spacing: plan.shoot_out.spacing,
+                folds: plan.slope.is_some(),
+            },
             waiting: Waiting::default(),
             deferred: Vec::new(),
             pending: Vec::new(),
             unjudged: 0,
-            bounds,
+            placed_outside: false,
             sampler: Sampler::new(
                 plan.seed,
                 8 * (plan.run.levels.len() + 1) * (1 + plan.spec.dim()),
             ),
+            status: Vec::new(),
+            seeds: Vec::new(),
+            batch: Trajectories::default(),
             report: SweepReport::default(),
         };
-        for (v, parameter) in parameters.into_iter().enumerate() {
-            let parameter = plan.surface.nudged(parameter);
-            let seed = plan.surface.seed(&parameter);
-            this.place(v as Vertex, parameter, seed, false);
+        let (mut seed, mut scratch) = (vec![0.0; 2 * n + 1], SeedScratch::default());
+        for mut parameter in parameters {
+            let guarded = plan.surface.place(&mut parameter, &mut seed, &mut scratch);
+            this.place(&parameter, &seed, guarded, false);
         }
         this
     }
 
+    /// Integrates, judges and splits in turns, until there is nothing more to do.
+    fn sweep(
+        &mut self,
+        kernel: &mut dyn Kernel,
+        progress: Progress<'_>,
+        keep: Keep<'_>,
+        written: Option<&Written>,
+    ) -> Result<(), BackendError> {
+        loop {
+            if !self.integrate(kernel, keep, written)? {
+                // The writing side has stopped; it says why.
+                return Ok(());
+            }
+            // Of many states judging takes longer than integrating.
+            if self.is_stopped() {
+                return Ok(());
+            }
+            self.judge()?;
+            self.report.rounds += 1;
+            progress(self.report.trajectories, self.waiting.len());
+            if !self.next_round()? {
+                return Ok(());
+            }
+        }
+    }
+
     /// Enters a vertex, to be swept if it is inside the guards.
-    fn place(&mut self, vertex: Vertex, parameter: Vec<f64>, seed: Vec<f64>, boundary: bool) {
-        let inside = self.plan.surface.inside(&seed);
-        let boundary = boundary || (inside && self.plan.surface.on_boundary(&seed));
-        let state = if inside {
-            self.pending.push(vertex);
-            NodeState::Pending
+    fn place(&mut self, parameter: &[f64], seed: &[f64], guarded: Guarded, at_guard: bool) {
+        let boundary = at_guard || (guarded.inside && guarded.on_boundary);
+        let state = if guarded.inside {
+            State::Pending
         } else {
             self.report.coverage.outside_guards += 1;
-            NodeState::Outside
+            self.placed_outside = true;
+            State::Outside
         };
-        self.nodes.insert(
-            vertex,
-            Node {
-                parameter,
-                seed,
-                state,
-                boundary,
-            },
-        );
+        let vertex = self.nodes.add(parameter, seed, state, boundary);
+        if guarded.inside {
+            self.pending.push(vertex);
+        }
     }
 
     /// Integrates what is pending; false where nobody takes the results any more.
@@ -275,213 +282,202 @@ impl<'a> Fronts<'a> {
         &mut self,
         kernel: &mut dyn Kernel,
         keep: Keep<'_>,
-        done: &SyncSender<Trajectories>,
+        written: Option<&Written>,
     ) -> Result<bool, BackendError> {
         let plan = self.plan;
         let dim = plan.spec.dim();
         let pending = std::mem::take(&mut self.pending);
         self.unjudged = pending.len();
-        for vertices in pending.chunks(batch_limit(dim, plan.run.levels.len())) {
-            let mut seeds = Vec::with_capacity(vertices.len() * dim);
-            for v in vertices {
-                seeds.extend(plan.start(&self.nodes[v].seed));
-            }
+        let most = batch_limit(dim, plan.run.levels.len()).min(kernel.fill());
+        for vertices in pending.chunks(most) {
+            self.seeds.resize(vertices.len() * dim, 0.0);
+            let nodes = &self.nodes;
+            (self.seeds.par_chunks_mut(dim).zip(vertices))
+                .with_min_len(TASK)
+                .for_each(|(to, v)| plan.start_into(nodes.seed(*v), to));
             let start = std::time::Instant::now();
-            let batch = kernel.integrate(&plan.run, &seeds)?;
+            kernel.integrate_into(&plan.run, &self.seeds, &mut self.batch)?;
             self.report.integrate_seconds += start.elapsed().as_secs_f64();
             for (i, v) in vertices.iter().enumerate() {
-                let node = &self.nodes[v];
-                self.sampler.offer(i, &batch, &node.seed, &node.parameter);
+                let (seed, parameter) = (self.nodes.seed(*v), self.nodes.parameter(*v));
+                self.sampler.offer(i, &self.batch, seed, parameter);
             }
-            self.record(vertices, &batch);
-            keep(&seeds, &batch);
-            if done.send(batch).is_err() {
+            let block = written.map(|written| written.used.try_recv().unwrap_or_default());
+            let block = self.observe(vertices, block);
+            keep(&self.seeds, &self.batch);
+            if let (Some(written), Some(block)) = (written, block)
+                && written.send.send(block).is_err()
+            {
                 return Ok(false);
             }
         }
         Ok(true)
     }
 
-    fn record(&mut self, vertices: &[Vertex], batch: &Trajectories) {
-        let n = self.plan.system.states;
-        for (i, v) in vertices.iter().enumerate() {
-            let mut path = Vec::new();
-            for k in self.plan.inner..batch.levels {
-                let sample = batch.sample(i, k);
-                if sample[0].is_nan() {
-                    break;
-                }
-                path.extend(
-                    sample[1..=n]
-                        .iter()
-                        .zip(&self.plan.widths)
-                        .map(|(s, w)| (s / w) as f32),
-                );
-            }
-            path.shrink_to_fit();
-            let end = &batch.end[i * batch.dim..][..batch.dim];
-            let fold =
-                (batch.status[i] != Status::Reached && self.plan.is_folded(end)).then(|| {
-                    let scaled = end[..n]
-                        .iter()
-                        .zip(&self.plan.widths)
-                        .map(|(s, w)| (s / w) as f32);
-                    scaled.collect()
-                });
-            if let Some(node) = self.nodes.get_mut(v) {
-                node.state = NodeState::Swept(Swept { path, fold });
-            }
-            self.report.trajectories += 1;
-            self.report.steps += u64::from(batch.steps[i]);
-            self.report.rejected += u64::from(batch.rejected[i]);
+    /// Tells what is reported of a batch, fills its block, and keeps what neighbours are compared
+    /// by.
+    fn observe(
+        &mut self,
+        vertices: &[Vertex],
+        mut block: Option<TrajectoryBlock>,
+    ) -> Option<TrajectoryBlock> {
+        let (plan, batch, observed) = (self.plan, &self.batch, self.observed);
+        let (count, first) = (vertices.len(), self.report.trajectories);
+        let report = &mut self.report;
+        self.status.clear();
+        self.status.resize(count, 0);
+        report.drift.resize(first + count, 0.0);
+        report.relative_drift.resize(first + count, 0.0);
+        let width = self.nodes.path_width();
+        {
+            let mut columns = block.as_mut().map(|block| {
+                observed.prepare(plan, batch, block);
+                observe::columns(block, STRIP)
+            });
+            let mut slots = self.nodes.sweep(vertices);
+            let strips: Vec<(Strip<'_>, &mut [Slot<'_>])> = (self.status.chunks_mut(STRIP))
+                .zip(report.drift[first..].chunks_mut(STRIP))
+                .zip(report.relative_drift[first..].chunks_mut(STRIP))
+                .zip(slots.chunks_mut(STRIP))
+                .map(|(((status, drift), relative), slots)| {
+                    let columns = columns.as_mut().and_then(Iterator::next);
+                    let strip = Strip {
+                        status,
+                        drift,
+                        relative,
+                        columns,
+                    };
+                    (strip, slots)
+                })
+                .collect();
+            let memory = || (observe::Scratch::default(), vec![0.0; width]);
+            (strips.into_par_iter().enumerate()).for_each_init(
+                memory,
+                |(scratch, path), (k, (mut strip, slots))| {
+                    observed.strip(plan, batch, k * STRIP, &mut strip, scratch);
+                    for (i, slot) in slots.iter_mut().enumerate() {
+                        record(plan, batch, k * STRIP + i, path, slot);
+                    }
+                },
+            );
         }
+        report.trajectories += count;
+        report.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
+        report.rejected += batch.rejected.iter().map(|s| u64::from(*s)).sum::<u64>();
+        for code in &self.status {
+            *report.by_status.entry(*code).or_default() += 1;
+        }
+        (report.folds).extend(observed.folds(plan, batch, &self.status, first));
+        if let Some(block) = &mut block {
+            block.status.clone_from(&self.status);
+            block.hamiltonian_drift.clear();
+            (block.hamiltonian_drift).extend_from_slice(&report.drift[first..]);
+        }
+        block
     }
 
     /// Decides on all edges whose ends are known, and forgets the vertices that are done with; less
     /// where the time is over.
-    fn judge(&mut self) {
+    fn judge(&mut self) -> Result<(), BackendError> {
         let mut edges = std::mem::take(&mut self.deferred);
         edges.extend(self.complex.take_fresh());
         for edges in edges.chunks(JUDGED) {
             if self.is_stopped() {
-                return;
+                return Ok(());
             }
             self.judge_some(edges);
         }
         self.unjudged = 0;
-        let complex = &self.complex;
-        self.nodes.retain(|v, _| complex.is_open(*v));
-    }
-
-    fn judge_some(&mut self, edges: &[Edge]) {
-        let verdicts: Vec<Verdict> = edges.par_iter().map(|e| self.verdict(*e)).collect();
-        for (&edge, verdict) in edges.iter().zip(verdicts) {
-            let root = self.complex.root(edge).unwrap_or(0);
-            let (gap, known) = match verdict {
-                Verdict::Unknown => {
-                    self.deferred.push(edge);
-                    (None, false)
-                }
-                Verdict::Settled => {
-                    self.complex.settle(edge);
-                    (None, true)
-                }
-                Verdict::Gap(gap) => (Some(gap), true),
-                Verdict::Boundary => (Some(1.0), true),
-            };
-            self.report.coverage.pairs += usize::from(known);
-            if let Some(gap) = gap {
-                self.waiting.push(root, gap, edge);
-            }
+        self.placed_outside = false;
+        self.drop_unaffordable();
+        for vertex in self.complex.take_closed() {
+            self.nodes.forget(vertex);
+        }
+        match self.nodes.failure() {
+            None => Ok(()),
+            Some(error) => Err(BackendError::SetAside(error)),
         }
     }
 
-    fn verdict(&self, edge: Edge) -> Verdict {
-        let (Some(a), Some(b)) = (self.nodes.get(&edge.0), self.nodes.get(&edge.1)) else {
+    fn judge_some(&mut self, edges: &[Edge]) {
+        let this = &*self;
+        let verdicts: Vec<Verdict> = (edges.par_iter().with_min_len(TASK))
+            .map_init(Default::default, |buffers, edge| {
+                this.verdict(*edge, buffers)
+            })
+            .collect();
+        for (&edge, verdict) in edges.iter().zip(verdicts) {
+            match verdict {
+                Verdict::Unknown => {
+                    self.deferred.push(edge);
+                    continue;
+                }
+                Verdict::Settled => self.complex.settle(edge),
+                Verdict::Apart(gap, root) => {
+                    self.waiting.push(root, gap, self.complex.ends(edge), edge);
+                }
+            }
+            self.report.coverage.pairs += 1;
+        }
+    }
+
+    fn verdict(&self, edge: Edge, [x, y]: &mut [Vec<f32>; 2]) -> Verdict {
+        let Ends(a, b) = self.complex.ends(edge);
+        let (Some(at_a), Some(at_b)) = (self.nodes.state(a), self.nodes.state(b)) else {
             return Verdict::Settled;
         };
-        match (&a.state, &b.state) {
-            (NodeState::Swept(x), NodeState::Swept(y)) => {
-                let front = self.widest_gap(&x.path, &y.path);
-                let gap = front.max(self.gap_on_caustic(x, y));
+        match (at_a, at_b) {
+            (State::Pending, _) | (_, State::Pending) => Verdict::Unknown,
+            (State::Outside, State::Outside) => Verdict::Settled,
+            (State::Swept, State::Swept) => {
+                let passed = (self.nodes.passed(a, x), self.nodes.passed(b, y));
+                let (Some(a), Some(b)) = passed else {
+                    return Verdict::Settled;
+                };
+                let gap = self.gaps.between(a, b);
                 if f64::from(gap) > self.plan.shoot_out.spacing {
-                    Verdict::Gap(gap)
+                    Verdict::Apart(gap, self.complex.root(edge))
                 } else {
                     Verdict::Settled
                 }
             }
-            (NodeState::Pending, _) | (_, NodeState::Pending) => Verdict::Unknown,
-            (NodeState::Outside, NodeState::Outside) => Verdict::Settled,
-            _ if a.boundary || b.boundary => Verdict::Settled,
-            _ => Verdict::Boundary,
+            _ if self.nodes.is_on_boundary(a) || self.nodes.is_on_boundary(b) => Verdict::Settled,
+            _ => Verdict::Apart(1.0, self.complex.root(edge)),
         }
     }
 
-    /// Widest gap over the fronts that both trajectories reach, where the piece of front between
-    /// them may meet the region.
-    fn widest_gap(&self, a: &[f32], b: &[f32]) -> f32 {
-        let n = self.plan.system.states;
-        let mut widest = 0.0f32;
-        for (x, y) in a.chunks_exact(n).zip(b.chunks_exact(n)) {
-            if self.may_meet_region(x, y) {
-                let gap = x
-                    .iter()
-                    .zip(y)
-                    .map(|(x, y)| (x - y).abs())
-                    .fold(0.0, f32::max);
-                widest = widest.max(gap);
-            }
+    /// Forgets edges that wait behind more others than the cap leaves seeds for.
+    fn drop_unaffordable(&mut self) {
+        let most = self.affordable();
+        if self.waiting.len() <= KEPT.max(most + most / 8) {
+            return;
         }
-        widest
-    }
-
-    /// Whether a piece of front between two states (in widths of the region) may lie in the region.
-    fn may_meet_region(&self, x: &[f32], y: &[f32]) -> bool {
-        (x.iter().zip(y).zip(&self.bounds))
-            .all(|((x, y), [lo, hi])| x.max(*y) >= *lo && x.min(*y) <= *hi)
-    }
-
-    /// Gap between the folds that neighbours end in. Where one of them goes on, or its fold is
-    /// elsewhere although they have come close together, the caustic has an end between them, and
-    /// the gap is closed when they are `CLOSE`.
-    fn gap_on_caustic(&self, a: &Swept, b: &Swept) -> f32 {
-        const CLOSE: f64 = 1.0 / 32.0;
-        let n = self.plan.system.states;
-        if self.plan.slope.is_none() {
-            return 0.0;
-        }
-        let distance = |x: &[f32], y: &[f32]| {
-            x.iter()
-                .zip(y)
-                .map(|(x, y)| (x - y).abs())
-                .fold(0.0, f32::max)
-        };
-        let last = a.path.len().min(b.path.len());
-        let apart = if last < n {
-            f32::INFINITY
-        } else {
-            distance(&a.path[last - n..last], &b.path[last - n..last])
-        };
-        if f64::from(apart) <= CLOSE * self.plan.shoot_out.spacing {
-            return 0.0;
-        }
-        // What the longer one passes alone may lie in the region although the shorter one ends
-        // outside.
-        let longer = if a.path.len() > b.path.len() {
-            &a.path
-        } else {
-            &b.path
-        };
-        let alone = || {
-            longer[last..]
-                .chunks_exact(n)
-                .any(|x| self.may_meet_region(x, x))
-        };
-        match (&a.fold, &b.fold) {
-            (Some(x), Some(y)) if self.may_meet_region(x, y) || alone() => distance(x, y),
-            // Any gap above the spacing will do.
-            (Some(x), None) | (None, Some(x)) if self.may_meet_region(x, x) || alone() => 1.0,
-            // One has left for good, the other comes back.
-            (None, None) if alone() => 1.0,
-            _ => 0.0,
+        for (edge, gap) in self.waiting.keep(KEPT.max(most)) {
+            self.complex.settle(edge);
+            let coverage = &mut self.report.coverage;
+            coverage.uncovered += 1;
+            coverage.widest = coverage.widest.max(f64::from(gap));
         }
     }
 
     /// Splits waiting edges until the round is full; false when nothing is left to do, or no time.
-    fn next_round(&mut self) -> bool {
+    fn next_round(&mut self) -> Result<bool, BackendError> {
         loop {
-            self.judge();
+            // Otherwise all new edges wait for a trajectory.
+            if self.placed_outside {
+                self.judge()?;
+            }
             if self.is_stopped() {
-                return false;
+                return Ok(false);
             }
-            if self.is_full() || self.waiting.is_empty() {
-                return !self.pending.is_empty();
+            if self.room() == 0 || self.waiting.is_empty() {
+                return Ok(!self.pending.is_empty());
             }
-            while !self.is_full()
-                && !self.plan.deadline.has_passed()
-                && let Some((edge, gap)) = self.waiting.pop()
-            {
-                self.split(edge, gap);
+            while self.room() > 0 && !self.waiting.is_empty() && !self.is_stopped() {
+                let room = self.room();
+                let next = std::iter::from_fn(|| self.waiting.pop());
+                let edges: Vec<(Edge, f32)> = next.take(room).collect();
+                self.split(&edges);
             }
         }
     }
@@ -492,63 +488,114 @@ impl<'a> Fronts<'a> {
         self.report.stopped
     }
 
-    fn is_full(&self) -> bool {
-        let swept = self.report.trajectories + self.pending.len();
-        self.pending.len() >= ROUND || swept >= self.plan.shoot_out.max_seeds
+    /// Seeds that the cap leaves.
+    fn affordable(&self) -> usize {
+        let placed = self.report.trajectories + self.pending.len();
+        self.plan.shoot_out.max_seeds.saturating_sub(placed)
     }
 
-    fn split(&mut self, edge: Edge, gap: f32) {
-        let surface = &self.plan.surface;
-        let (Some(a), Some(b)) = (self.nodes.get(&edge.0), self.nodes.get(&edge.1)) else {
-            return;
-        };
-        let outside = |n: &Node| matches!(n.state, NodeState::Outside);
-        let boundary = outside(a) || outside(b);
-        let parameter = match (outside(a), outside(b)) {
-            (false, true) => surface.boundary(&a.parameter, &b.parameter),
-            (true, false) => surface.boundary(&b.parameter, &a.parameter),
-            _ => surface.between(&a.parameter, &b.parameter),
-        };
-        let parameter = surface.nudged(parameter);
-        let seed = surface.seed(&parameter);
-        let middle = self.rounded(&seed);
-        if middle == self.rounded(&a.seed) || middle == self.rounded(&b.seed) {
+    /// Seeds that fit the round.
+    fn room(&self) -> usize {
+        (ROUND.saturating_sub(self.pending.len())).min(self.affordable())
+    }
+
+    /// Puts seeds between the ends of edges.
+    fn split(&mut self, edges: &[(Edge, f32)]) {
+        let n = self.plan.system.states;
+        let (width, length) = (self.nodes.parameter_width(), 2 * n + 1);
+        let mut parameters = vec![0.0; edges.len() * width];
+        let mut seeds = vec![0.0; edges.len() * length];
+        let this = &*self;
+        let middles: Vec<Middle> = (edges.par_iter())
+            .zip(parameters.par_chunks_mut(width))
+            .zip(seeds.par_chunks_mut(length))
+            .with_min_len(TASK)
+            .map_init(SeedScratch::default, |scratch, ((edge, parameter), seed)| {
+                this.middle(edge.0, parameter, seed, scratch)
+            })
+            .collect();
+        let found = (parameters.chunks_exact(width)).zip(seeds.chunks_exact(length));
+        for ((&(edge, gap), middle), (parameter, seed)) in edges.iter().zip(middles).zip(found) {
+            if middle.distinct {
+                self.complex.split(edge);
+                self.place(parameter, seed, middle.guarded, middle.at_guard);
+                continue;
+            }
             // A boundary that coincides with its inner end leaves nothing between; a gap does.
-            if !boundary {
-                self.report.coverage.indistinguishable += 1;
-                self.report.coverage.widest = self.report.coverage.widest.max(f64::from(gap));
+            if !middle.at_guard {
+                let coverage = &mut self.report.coverage;
+                coverage.indistinguishable += 1;
+                coverage.widest = coverage.widest.max(f64::from(gap));
             }
             self.complex.settle(edge);
-            return;
-        }
-        if let Some(vertex) = self.complex.split(edge) {
-            self.place(vertex, parameter, seed, boundary);
         }
     }
 
-    /// The seed's state as the kernel sees it.
-    fn rounded(&self, seed: &[f64]) -> Vec<f64> {
-        let round = |x: &f64| {
-            if self.plan.spec.precision == Precision::F32 {
-                f64::from(*x as f32)
-            } else {
-                *x
-            }
+    /// Computes the parameter and the seed between the ends of an edge.
+    fn middle(
+        &self,
+        edge: Edge,
+        parameter: &mut [f64],
+        seed: &mut [f64],
+        scratch: &mut SeedScratch,
+    ) -> Middle {
+        let (surface, nodes) = (&self.plan.surface, &self.nodes);
+        let Ends(a, b) = self.complex.ends(edge);
+        let outside = |v: Vertex| nodes.state(v) == Some(State::Outside);
+        let (p, q) = (nodes.parameter(a), nodes.parameter(b));
+        match (outside(a), outside(b)) {
+            (false, true) => parameter.copy_from_slice(&surface.boundary(p, q)),
+            (true, false) => parameter.copy_from_slice(&surface.boundary(q, p)),
+            _ => surface.toward_into(p, q, 0.5, parameter),
+        }
+        let guarded = surface.place(parameter, seed, scratch);
+        Middle {
+            guarded,
+            at_guard: outside(a) || outside(b),
+            distinct: self.differ(seed, nodes.seed(a)) && self.differ(seed, nodes.seed(b)),
+        }
+    }
+
+    /// Whether the kernel sees different states of two seeds.
+    fn differ(&self, a: &[f64], b: &[f64]) -> bool {
+        let n = self.plan.system.states;
+        let single = self.plan.spec.precision == Precision::F32;
+        let differ = |(x, y): (&f64, &f64)| match single {
+            true => *x as f32 != *y as f32,
+            false => x != y,
         };
-        seed[..self.plan.system.states].iter().map(round).collect()
+        a[..n].iter().zip(&b[..n]).any(differ)
     }
 
     fn finished(mut self) -> SweepReport {
         // Seeds that were placed and not swept or not judged, for want of time, leave gaps too.
         let left = self.pending.len() + self.unjudged;
-        self.report.coverage.uncovered = self.waiting.len() + left;
-        self.report.coverage.widest = self
-            .report
-            .coverage
-            .widest
-            .max(f64::from(self.waiting.widest()));
+        let coverage = &mut self.report.coverage;
+        coverage.uncovered += self.waiting.len() + left;
+        coverage.widest = coverage.widest.max(f64::from(self.waiting.widest()));
         self.report.sample =
             (self.sampler).finish(self.plan.spec.dim(), self.plan.run.levels.len());
         self.report
     }
+}
+
+/// Keeps what the neighbours of trajectory `i` of a batch are compared with; `path` is memory.
+fn record(plan: &Plan, batch: &Trajectories, i: usize, path: &mut [f32], slot: &mut Slot<'_>) {
+    let n = plan.system.states;
+    let stride = path.len() / n;
+    let mut passed = 0;
+    for level in plan.inner..batch.levels {
+        let sample = batch.sample(i, level);
+        if sample[0].is_nan() {
+            break;
+        }
+        for (k, (s, w)) in sample[1..=n].iter().zip(&plan.widths).enumerate() {
+            path[k * stride + passed] = (s / w) as f32;
+        }
+        passed += 1;
+    }
+    let end = &batch.end[i * batch.dim..][..batch.dim];
+    let fold = (batch.status[i] != Status::Reached && plan.is_folded(end))
+        .then(|| (end[..n].iter().zip(&plan.widths)).map(|(s, w)| (s / w) as f32));
+    slot.fill(path, passed, fold);
 }

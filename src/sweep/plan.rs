@@ -300,13 +300,21 @@ impl Plan {
     /// The integrated vector at a seed `(s, p, V)`: arc length from 0, the slope of the local
     /// solution or of the terminal cost.
     pub fn start(&self, seed: &[f64]) -> Vec<f64> {
-        let n = self.system.states;
-        let mut start = seed.to_vec();
-        start.resize(self.slope.unwrap_or(self.spec.dim()), 0.0);
-        if self.slope.is_some() {
-            start.extend(Slope::packed(&self.end.at(&seed[..n]).hessian, n));
-        }
+        let mut start = vec![0.0; self.spec.dim()];
+        self.start_into(seed, &mut start);
         start
+    }
+
+    /// [`Plan::start`], into memory that is there.
+    pub fn start_into(&self, seed: &[f64], start: &mut [f64]) {
+        let n = self.system.states;
+        let (given, rest) = start.split_at_mut(seed.len());
+        given.copy_from_slice(seed);
+        rest.fill(0.0);
+        if let Some(first) = self.slope {
+            let slope = Slope::packed(&self.end.at(&seed[..n]).hessian, n);
+            start[first..first + slope.len()].copy_from_slice(&slope);
+        }
     }
 
     /// What the linearization gives for V at the costliest corner of the region; on a finite

@@ -1,9 +1,9 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the
 //! region.
 
-use super::complex::{Complex, Edge, Vertex};
+use super::complex::{Complex, Edge, Ends, Vertex};
 use crate::hamiltonian::{System, Terminal};
-use crate::local::LocalSolution;
+use crate::local::{LocalSolution, SeedScratch};
 use crate::numeric::random::random;
 use crate::program::Program;
 
@@ -22,6 +22,14 @@ pub struct Surface {
     states: usize,
     guards: Program,
     strict: Vec<bool>,
+}
+
+/// What guards say of a seed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Guarded {
+    pub inside: bool,
+    /// To rounding.
+    pub on_boundary: bool,
 }
 
 enum Kind {
@@ -99,7 +107,14 @@ impl Surface {
         let mut open = complex.take_fresh();
         while parameters.len() < wanted && !open.is_empty() {
             // The longest first; ties in order of creation.
-            let length = |e: &Edge| distance(&parameters[e.0 as usize], &parameters[e.1 as usize]);
+            let ends = |complex: &Complex, e: Edge| {
+                let Ends(a, b) = complex.ends(e);
+                [a as usize, b as usize]
+            };
+            let length = |e: &Edge| {
+                let [a, b] = ends(&complex, *e);
+                distance(&parameters[a], &parameters[b])
+            };
             let longest = open.iter().map(length).fold(0.0, f64::max);
             let (split, keep): (Vec<Edge>, Vec<Edge>) = open
                 .iter()
@@ -109,11 +124,10 @@ impl Surface {
                 if parameters.len() >= wanted {
                     break;
                 }
-                let middle =
-                    self.between(&parameters[edge.0 as usize], &parameters[edge.1 as usize]);
-                if complex.split(edge).is_some() {
-                    parameters.push(middle);
-                }
+                let [a, b] = ends(&complex, edge);
+                let middle = self.between(&parameters[a], &parameters[b]);
+                complex.split(edge);
+                parameters.push(middle);
             }
             open = keep;
             open.extend(complex.take_fresh());
@@ -129,17 +143,85 @@ impl Surface {
 
     /// The parameter a fraction of the way from `a` to `b`.
     pub fn toward(&self, a: &[f64], b: &[f64], fraction: f64) -> Vec<f64> {
-        let between = a.iter().zip(b).map(|(x, y)| x + fraction * (y - x));
-        self.normalized(between.collect())
+        let mut between = vec![0.0; a.len()];
+        self.toward_into(a, b, fraction, &mut between);
+        between
+    }
+
+    /// [`Surface::toward`], into memory that is there.
+    pub fn toward_into(&self, a: &[f64], b: &[f64], fraction: f64, to: &mut [f64]) {
+        for (to, (x, y)) in to.iter_mut().zip(a.iter().zip(b)) {
+            *to = x + fraction * (y - x);
+        }
+        self.normalize(to);
     }
 
     /// The parameter that a mean of parameters stands for.
     pub fn normalized(&self, mut mean: Vec<f64>) -> Vec<f64> {
+        self.normalize(&mut mean);
+        mean
+    }
+
+    fn normalize(&self, mean: &mut [f64]) {
         if let Kind::Sphere(_) = self.kind {
             let norm = mean.iter().map(|x| x * x).sum::<f64>().sqrt();
             mean.iter_mut().for_each(|x| *x /= norm);
         }
-        mean
+    }
+
+    /// The seed `(s, p, V)` at a parameter, into memory that is there.
+    fn seed_into(&self, parameter: &[f64], seed: &mut [f64], scratch: &mut SeedScratch) {
+        match &self.kind {
+            Kind::Sphere(local) => local.seed_into(parameter, seed, scratch),
+            Kind::Box { .. } => seed.copy_from_slice(&self.seed(parameter)),
+        }
+    }
+
+    /// Computes the seed `(s, p, V)` at a parameter, which is moved inside a guard as
+    /// [`Surface::nudged`] does; and what the guards say of it.
+    pub fn place(
+        &self,
+        parameter: &mut [f64],
+        seed: &mut [f64],
+        scratch: &mut SeedScratch,
+    ) -> Guarded {
+        self.seed_into(parameter, seed, scratch);
+        if self.strict.is_empty() {
+            return Guarded {
+                inside: true,
+                on_boundary: false,
+            };
+        }
+        let values = self.guard_values(seed);
+        let guarded = self.guarded(seed, &values);
+        if guarded.inside {
+            return guarded;
+        }
+        let Some(moved) = self.nudge(parameter, seed, &values) else {
+            return guarded;
+        };
+        parameter.copy_from_slice(&moved);
+        self.seed_into(parameter, seed, scratch);
+        self.guarded(seed, &self.guard_values(seed))
+    }
+
+    /// What guards of such values say of a seed.
+    fn guarded(&self, seed: &[f64], values: &[f64]) -> Guarded {
+        let size = self.size(seed);
+        Guarded {
+            inside: self.all_hold(values),
+            on_boundary: values.iter().any(|v| v.abs() <= ROUNDING * size),
+        }
+    }
+
+    /// The largest component of a seed's state.
+    fn size(&self, seed: &[f64]) -> f64 {
+        let states = seed[..self.states].iter();
+        states.fold(0.0f64, |a, s| a.max(s.abs()))
+    }
+
+    fn all_hold(&self, values: &[f64]) -> bool {
+        (values.iter().zip(&self.strict)).all(|(v, strict)| holds(*v, *strict))
     }
 
     /// The seed `(s, p, V)` at a parameter.
@@ -188,20 +270,12 @@ impl Surface {
 
     /// Whether a seed is inside all guards.
     pub fn inside(&self, seed: &[f64]) -> bool {
-        self.guard_values(seed)
-            .iter()
-            .zip(&self.strict)
-            .all(|(v, strict)| holds(*v, *strict))
+        self.all_hold(&self.guard_values(seed))
     }
 
     /// Whether a seed lies on the boundary of a guard, to rounding.
     pub fn on_boundary(&self, seed: &[f64]) -> bool {
-        let size = seed[..self.states]
-            .iter()
-            .fold(0.0f64, |a, s| a.max(s.abs()));
-        self.guard_values(seed)
-            .iter()
-            .any(|v| v.abs() <= ROUNDING * size)
+        self.guarded(seed, &self.guard_values(seed)).on_boundary
     }
 
     fn guard_values(&self, seed: &[f64]) -> Vec<f64> {
@@ -211,28 +285,25 @@ impl Surface {
     /// The parameter moved back inside where it is outside by rounding alone: points between two on
     /// a guard's boundary lie on it, but for rounding.
     pub fn nudged(&self, parameter: Vec<f64>) -> Vec<f64> {
-        const STEP: f64 = 1e-6;
         if self.strict.is_empty() {
             return parameter;
         }
-        let n = self.states;
         let seed = self.seed(&parameter);
-        let size = seed[..n].iter().fold(0.0f64, |a, s| a.max(s.abs()));
-        let values = self.guard_values(&seed);
-        let worst = values
-            .iter()
-            .copied()
-            .enumerate()
-            .min_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((k, value)) =
-            worst.filter(|(k, v)| !holds(*v, self.strict[*k]) && *v >= -ROUNDING * size)
-        else {
-            return parameter;
-        };
+        let moved = self.nudge(&parameter, &seed, &self.guard_values(&seed));
+        moved.unwrap_or(parameter)
+    }
+
+    /// Where [`Surface::nudged`] moves a parameter with this seed and these values of its guards.
+    fn nudge(&self, parameter: &[f64], seed: &[f64], values: &[f64]) -> Option<Vec<f64>> {
+        const STEP: f64 = 1e-6;
+        let size = self.size(seed);
+        let worst = (values.iter().copied().enumerate()).min_by(|a, b| a.1.total_cmp(&b.1));
+        let (k, value) =
+            worst.filter(|(k, v)| !holds(*v, self.strict[*k]) && *v >= -ROUNDING * size)?;
         let slopes: Vec<f64> = (0..parameter.len())
             .map(|i| {
                 let at = |sign: f64| {
-                    let mut q = parameter.clone();
+                    let mut q = parameter.to_vec();
                     q[i] += sign * STEP;
                     self.guard_values(&self.seed(&q))[k]
                 };
@@ -242,16 +313,10 @@ impl Surface {
         let square: f64 = slopes.iter().map(|x| x * x).sum();
         // Twice the way, so that rounding does not leave it outside again.
         let factor = (-2.0 * value + f64::EPSILON * size) / square;
-        let moved: Vec<f64> = parameter
-            .iter()
-            .zip(&slopes)
+        let moved: Vec<f64> = (parameter.iter().zip(&slopes))
             .map(|(q, d)| q + factor * d)
             .collect();
-        if moved.iter().all(|x| x.is_finite()) {
-            moved
-        } else {
-            parameter
-        }
+        moved.iter().all(|x| x.is_finite()).then_some(moved)
     }
 
     /// Last parameter inside the guards on the way from `inside` to `outside`.

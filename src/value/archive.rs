@@ -67,7 +67,7 @@ impl Archive {
         backend: &dyn Backend,
     ) -> Result<SweepReport, BackendError> {
         let mut keep = |seeds: &[f64], batch: &Trajectories| self.keep(seeds, batch);
-        sweep_keeping(plan, backend, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))
+        sweep_keeping(plan, backend, &mut |_, _| {}, &mut keep, None)
     }
 
     /// Keeps a batch of the sweep.

@@ -33,7 +33,7 @@ fn problems(scene: &str, count: usize) -> Problems {
     let plan = Plan::new(&model, &hamiltonian, &cpu, choices).unwrap();
     let mut archive = Archive::new(&plan);
     let keep = &mut |seeds: &[f64], batch: &_| archive.keep(seeds, batch);
-    sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, &mut |_| Ok(())).unwrap();
+    sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, None).unwrap();
     let index = Index::new(&archive, &plan.widths, &plan.region, plan.shoot_out.spacing);
     let end = End::new(&plan.system, plan.local.as_ref());
     let duration = plan.segment_duration();

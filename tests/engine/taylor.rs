@@ -27,7 +27,7 @@ fn integrate(scene: &str, rtol: f64, methods: &[Method]) -> (Plan, Vec<Trajector
     let first = plan(Method::Tsit5);
     let mut seeds = Vec::new();
     let mut keep = |s: &[f64], _: &Trajectories| seeds.extend_from_slice(s);
-    sweep_keeping::<BackendError>(&first, &cpu, &mut |_, _| {}, &mut keep, &mut |_| Ok(()))
+    sweep_keeping::<BackendError>(&first, &cpu, &mut |_, _| {}, &mut keep, None)
         .expect("the CPU works");
     let results = (methods.iter())
         .map(|m| {

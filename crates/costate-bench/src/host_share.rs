@@ -103,14 +103,23 @@ struct MeteredKernel {
 }
 
 impl Kernel for MeteredKernel {
-    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+    fn integrate_into(
+        &mut self,
+        run: &Run,
+        seeds: &[f64],
+        to: &mut Trajectories,
+    ) -> Result<(), BackendError> {
         let begin = Instant::now();
-        let result = self.kernel.integrate(run, seeds)?;
+        self.kernel.integrate_into(run, seeds, to)?;
         let call = begin.elapsed().as_secs_f64();
         let mut times = self.times.lock().unwrap_or_else(PoisonError::into_inner);
         times.calls += call;
         times.kernels += self.kernel.kernel_seconds().unwrap_or(call);
-        Ok(result)
+        Ok(())
+    }
+
+    fn fill(&self) -> usize {
+        self.kernel.fill()
     }
 
     fn kernel_seconds(&self) -> Option<f64> {

@@ -57,18 +57,21 @@ impl Evaluator {
         points
             .par_chunks(CHUNK * stride)
             .zip(values.par_chunks_mut(CHUNK * outputs))
-            .for_each(|(points, values)| {
-                match self.simd {
-                    Simd::Baseline => self.chunk::<false>(points, stride, values),
-                    // SAFETY: the features were detected.
-                    #[cfg(target_arch = "x86_64")]
-                    Simd::Avx2 => unsafe { avx2(self, points, stride, values) },
-                    // SAFETY: as above.
-                    #[cfg(target_arch = "x86_64")]
-                    Simd::Avx512 => unsafe { avx512(self, points, stride, values) },
-                }
-            });
+            .for_each(|(points, values)| self.fill(points, stride, values));
         values
+    }
+
+    /// [`Evaluator::eval`] on the calling thread, into memory that is there.
+    pub fn fill(&self, points: &[f64], stride: usize, values: &mut [f64]) {
+        match self.simd {
+            Simd::Baseline => self.chunk::<false>(points, stride, values),
+            // SAFETY: the features were detected.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => unsafe { avx2(self, points, stride, values) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => unsafe { avx512(self, points, stride, values) },
+        }
     }
 
     fn count(&self, points: &[f64], stride: usize) -> usize {

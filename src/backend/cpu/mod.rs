@@ -17,7 +17,7 @@ mod taylor;
 
 pub use evaluator::Evaluator;
 
-use super::{Backend, BackendError, Kernel, Legs, Run, Spec, Status, Trajectories, Variant};
+use super::{Backend, BackendError, Kernel, Legs, Run, Spec, Trajectories, Variant};
 use crate::integrator::Scheme;
 use crate::model::Precision;
 use block::{Compiled, Output};
@@ -71,6 +71,8 @@ impl Simd {
 const LANES_F64: usize = 16;
 const LANES_F32: usize = 32;
 const LANES_INTERPRETED: usize = 64;
+/// Trajectories a thread in a batch from which on lanes that have run dry at its end cost little.
+const FILL: usize = 1024;
 
 /// The CPU backend.
 #[derive(Clone, Debug)]
@@ -223,23 +225,22 @@ impl Kernel for CpuKernel {
         self.seconds
     }
 
-    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+    fn fill(&self) -> usize {
+        FILL * rayon::current_num_threads()
+    }
+
+    fn integrate_into(
+        &mut self,
+        run: &Run,
+        seeds: &[f64],
+        to: &mut Trajectories,
+    ) -> Result<(), BackendError> {
         let dim = self.spec.dim();
         let count = seeds.len() / dim;
         let levels = if self.spec.store { run.levels.len() } else { 0 };
-        let mut result = Trajectories {
-            dim,
-            levels,
-            end: vec![f64::NAN; count * dim],
-            end_time: vec![f64::NAN; count],
-            status: vec![Status::NotFinite; count],
-            steps: vec![0; count],
-            rejected: vec![0; count],
-            lane_steps: 0,
-            samples: vec![f64::NAN; count * levels * (1 + dim)],
-        };
+        to.shape(count, dim, levels);
         if count == 0 {
-            return Ok(result);
+            return Ok(());
         }
         let precision = self.spec.precision;
         let lanes = self.backend.lanes(precision);
@@ -253,17 +254,17 @@ impl Kernel for CpuKernel {
         let mut sample_chunks: Vec<&mut [f64]> = if width == 0 {
             (0..count.div_ceil(chunk)).map(|_| &mut [][..]).collect()
         } else {
-            result.samples.chunks_mut(chunk * width).collect()
+            to.samples.chunks_mut(chunk * width).collect()
         };
         let begin = Instant::now();
         let lane_steps = AtomicU64::new(0);
         seeds
             .par_chunks(chunk * dim)
-            .zip(result.end.par_chunks_mut(chunk * dim))
-            .zip(result.end_time.par_chunks_mut(chunk))
-            .zip(result.status.par_chunks_mut(chunk))
-            .zip(result.steps.par_chunks_mut(chunk))
-            .zip(result.rejected.par_chunks_mut(chunk))
+            .zip(to.end.par_chunks_mut(chunk * dim))
+            .zip(to.end_time.par_chunks_mut(chunk))
+            .zip(to.status.par_chunks_mut(chunk))
+            .zip(to.steps.par_chunks_mut(chunk))
+            .zip(to.rejected.par_chunks_mut(chunk))
             .zip(sample_chunks.par_iter_mut())
             .for_each(
                 |((((((seeds, end), end_time), status), steps), rejected), samples)| {
@@ -284,9 +285,9 @@ impl Kernel for CpuKernel {
                     lane_steps.fetch_add(rounds * lanes as u64, Ordering::Relaxed);
                 },
             );
-        result.lane_steps = lane_steps.into_inner();
+        to.lane_steps = lane_steps.into_inner();
         self.seconds = Some(begin.elapsed().as_secs_f64());
-        Ok(result)
+        Ok(())
     }
 }
 
@@ -301,19 +302,7 @@ impl Legs for CpuLegs<'_> {
     fn integrate(&self, seeds: &[f64], to: &mut Trajectories) {
         let dim = self.compiled.spec.dim();
         let count = seeds.len() / dim;
-        to.dim = dim;
-        to.levels = 0;
-        to.end.clear();
-        to.end.resize(count * dim, f64::NAN);
-        to.end_time.clear();
-        to.end_time.resize(count, f64::NAN);
-        to.status.clear();
-        to.status.resize(count, Status::NotFinite);
-        to.steps.clear();
-        to.steps.resize(count, 0);
-        to.rejected.clear();
-        to.rejected.resize(count, 0);
-        to.samples.clear();
+        to.shape(count, dim, 0);
         let mut out = Output {
             end: &mut to.end,
             end_time: &mut to.end_time,

@@ -417,15 +417,20 @@ impl Kernel for GpuKernel {
         Ok(made.map(|relay| -> Box<dyn Relay> { Box::new(relay) }))
     }
 
-    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
+    fn integrate_into(
+        &mut self,
+        run: &Run,
+        seeds: &[f64],
+        to: &mut Trajectories,
+    ) -> Result<(), BackendError> {
         let dim = self.spec.dim();
         let count = seeds.len() / dim;
         let variant = run.variant();
         let levels = if self.spec.store { run.levels.len() } else { 0 };
-        let mut result = results::empty(count, dim, levels);
+        to.shape(count, dim, levels);
         self.seconds = 0.0;
         if count == 0 {
-            return Ok(result);
+            return Ok(());
         }
         self.prepare(variant)?;
         let settings = Settings::new(dim, variant).levels + run.levels.len().max(1);
@@ -456,8 +461,8 @@ impl Kernel for GpuKernel {
         let most = most as usize;
         for (k, part) in seeds.chunks(most * dim).enumerate() {
             shape.trajectories = part.len() / dim;
-            self.part(run, variant, part, shape, k * most, &mut result)?;
+            self.part(run, variant, part, shape, k * most, to)?;
         }
-        Ok(result)
+        Ok(())
     }
 }

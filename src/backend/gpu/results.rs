@@ -17,21 +17,6 @@ pub struct Written<'a> {
     pub samples: &'a [u8],
 }
 
-/// Results for `count` trajectories, to be filled.
-pub fn empty(count: usize, dim: usize, levels: usize) -> Trajectories {
-    Trajectories {
-        dim,
-        levels,
-        end: vec![0.0; count * dim],
-        end_time: vec![0.0; count],
-        status: vec![Status::NotFinite; count],
-        steps: vec![0; count],
-        rejected: vec![0; count],
-        lane_steps: 0,
-        samples: vec![0.0; count * levels * (1 + dim)],
-    }
-}
-
 /// Fills the results of the trajectories from `first` on.
 pub fn fill(
     result: &mut Trajectories,

@@ -11,6 +11,7 @@ use costate::low_level::hdf5::ResultFile;
 use costate::low_level::model::Precision;
 use costate::low_level::result::RunRecord;
 use costate::low_level::sweep::{Choices, sweep};
+use costate::low_level::trajectories::TrajectoryBlock;
 use costate::run::{self, RunError};
 use costate::scene::Scene;
 use costate::session::{self, Progress, sweep_and_write};
@@ -192,13 +193,13 @@ fn host_share(
     let mut file = ResultFile::create(path)?;
     let mut writer = file.trajectories(&run::trajectory_schema(&scene.model, &plan))?;
     let mut writing_seconds = 0.0;
-    let mut write = |block| {
+    let mut write = |block: &TrajectoryBlock| {
         let begin = Instant::now();
-        writer.append(&block)?;
+        writer.append(block)?;
         writing_seconds += begin.elapsed().as_secs_f64();
         Ok::<(), RunError>(())
     };
-    let swept = sweep_and_write(&plan, &metered, &terminal, &mut |_, _| {}, &mut write)?;
+    let swept = sweep_and_write(&plan, &metered, &terminal, &mut |_, _| {}, Some(&mut write))?;
     drop(writer);
     let ending = Instant::now();
     let path = file.finish()?;

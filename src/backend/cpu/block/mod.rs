@@ -12,6 +12,7 @@ use super::routine::{Routine, Session};
 use super::steps::{self, Layout, Parameters};
 use crate::backend::{By, Run, Spec, Status, Variant};
 use crate::integrator::{Scheme, control};
+use std::ops::Range;
 
 /// A kernel's code for blocks of a certain number of lanes.
 pub struct Compiled {
@@ -222,7 +223,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     /// none, and the lane idles.
     fn refill(&mut self, lane: usize, queue: &mut Queue<'_, T>, out: &mut Output<'_>) -> bool {
         while let Some(i) = queue.take() {
-            match self.place(lane, i, queue) {
+            match self.place(lane, i, queue, out) {
                 None => return true,
                 Some(ended) => _ = self.finish(lane, ended, out),
             }
@@ -233,7 +234,13 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     }
 
     /// Puts a trajectory at its beginning; its status where that is also its end.
-    fn place(&mut self, lane: usize, i: usize, queue: &Queue<'_, T>) -> Option<Status> {
+    fn place(
+        &mut self,
+        lane: usize,
+        i: usize,
+        queue: &Queue<'_, T>,
+        out: &mut Output<'_>,
+    ) -> Option<Status> {
         let (dim, next) = (self.layout.dim, self.layout.next);
         let start = queue.start(i);
         for (c, v) in queue.seeds[i * dim..][..dim].iter().enumerate() {
@@ -264,6 +271,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             .iter()
             .take_while(|l| T::of(**l) <= coordinate)
             .count();
+        self.blank(i, 0..self.next_level[lane], out);
         self.expect_level(lane);
         let (size, speed) = (start[queue.width - 2].f64(), start[queue.width - 1].f64());
         if !speed.is_finite() {
@@ -363,7 +371,17 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             out.status[i] = status;
             out.steps[i] = self.at(next.steps, lane).f64() as u32;
             out.rejected[i] = self.at(next.rejected, lane).f64() as u32;
+            self.blank(i, self.next_level[lane]..self.run.levels.len(), out);
         }
         true
+    }
+
+    /// Says of levels that a trajectory has not passed them.
+    fn blank(&self, i: usize, levels: Range<usize>, out: &mut Output<'_>) {
+        if self.kernel.spec.store {
+            let (width, first) = (1 + self.layout.dim, i * self.run.levels.len());
+            out.samples[(first + levels.start) * width..(first + levels.end) * width]
+                .fill(f64::NAN);
+        }
     }
 }
