@@ -313,7 +313,12 @@ impl LocalSolution {
         let (p, value) = rest.split_at_mut(n);
         multiply(&self.t, z, s);
         p.fill(0.0);
-        for (column, g) in self.to_adjoint.as_slice().chunks_exact(n).zip(&self.gradient) {
+        for (column, g) in self
+            .to_adjoint
+            .as_slice()
+            .chunks_exact(n)
+            .zip(&self.gradient)
+        {
             let q = dot(g);
             p.iter_mut().zip(column).for_each(|(p, c)| *p += c * q);
         }

@@ -131,10 +131,7 @@ impl Pass<'_> {
     ///
     /// # Errors
     /// Those of the computation, and of `write`.
-    pub fn perform<E: From<SessionError>>(
-        self,
-        write: Write<'_, E>,
-    ) -> Result<Outcome, E> {
+    pub fn perform<E: From<SessionError>>(self, write: Write<'_, E>) -> Result<Outcome, E> {
         let Pass {
             session,
             plan,

@@ -7,8 +7,8 @@
 //! written goes to another thread, and memory comes back from there.
 
 use super::caustic::FoldPoint;
-use super::complex::{Complex, Edge, Ends, Vertex, Waiting};
 use super::gaps::Gaps;
+use super::neighbours::{Edge, Neighbours, Vertex, Waiting};
 use super::nodes::{Nodes, Slot, State};
 use super::observe::{self, Observed, Strip};
 use super::plan::Plan;
@@ -171,7 +171,7 @@ struct Middle {
 struct Fronts<'a> {
     plan: &'a Plan,
     observed: &'a Observed,
-    complex: Complex,
+    neighbours: Neighbours,
     nodes: Nodes,
     gaps: Gaps,
     waiting: Waiting,
@@ -192,7 +192,7 @@ struct Fronts<'a> {
 
 impl<'a> Fronts<'a> {
     fn new(plan: &'a Plan, observed: &'a Observed) -> Self {
-        let (complex, parameters) = plan.surface.triangulation(plan.shoot_out.max_seeds);
+        let (simplices, parameters) = plan.surface.triangulation(plan.shoot_out.max_seeds);
         let bounds = (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
             .map(|(([lo, hi], w), periodic)| {
                 if *periodic {
@@ -206,7 +206,7 @@ impl<'a> Fronts<'a> {
         let mut this = Self {
             plan,
             observed,
-            complex,
+            neighbours: Neighbours::new(parameters.len(), &simplices),
             nodes: Nodes::new(n, parameters.first().map_or(n, Vec::len), plan.samples()),
             gaps: Gaps {
                 bounds,
@@ -380,7 +380,7 @@ impl<'a> Fronts<'a> {
     /// where the time is over.
     fn judge(&mut self) -> Result<(), BackendError> {
         let mut edges = std::mem::take(&mut self.deferred);
-        edges.extend(self.complex.take_fresh());
+        edges.extend(self.neighbours.take_fresh());
         for edges in edges.chunks(JUDGED) {
             if self.is_stopped() {
                 return Ok(());
@@ -390,7 +390,7 @@ impl<'a> Fronts<'a> {
         self.unjudged = 0;
         self.placed_outside = false;
         self.drop_unaffordable();
-        for vertex in self.complex.take_closed() {
+        for vertex in self.neighbours.take_forgotten() {
             self.nodes.forget(vertex);
         }
         match self.nodes.failure() {
@@ -412,17 +412,15 @@ impl<'a> Fronts<'a> {
                     self.deferred.push(edge);
                     continue;
                 }
-                Verdict::Settled => self.complex.settle(edge),
-                Verdict::Apart(gap, root) => {
-                    self.waiting.push(root, gap, self.complex.ends(edge), edge);
-                }
+                Verdict::Settled => self.neighbours.settle(edge),
+                Verdict::Apart(gap, root) => self.waiting.push(root, gap, edge),
             }
             self.report.coverage.pairs += 1;
         }
     }
 
     fn verdict(&self, edge: Edge, [x, y]: &mut [Vec<f32>; 2]) -> Verdict {
-        let Ends(a, b) = self.complex.ends(edge);
+        let Edge(a, b) = edge;
         let (Some(at_a), Some(at_b)) = (self.nodes.state(a), self.nodes.state(b)) else {
             return Verdict::Settled;
         };
@@ -436,13 +434,13 @@ impl<'a> Fronts<'a> {
                 };
                 let gap = self.gaps.between(a, b);
                 if f64::from(gap) > self.plan.shoot_out.spacing {
-                    Verdict::Apart(gap, self.complex.root(edge))
+                    Verdict::Apart(gap, self.neighbours.root(edge))
                 } else {
                     Verdict::Settled
                 }
             }
             _ if self.nodes.is_on_boundary(a) || self.nodes.is_on_boundary(b) => Verdict::Settled,
-            _ => Verdict::Apart(1.0, self.complex.root(edge)),
+            _ => Verdict::Apart(1.0, self.neighbours.root(edge)),
         }
     }
 
@@ -453,7 +451,7 @@ impl<'a> Fronts<'a> {
             return;
         }
         for (edge, gap) in self.waiting.keep(KEPT.max(most)) {
-            self.complex.settle(edge);
+            self.neighbours.settle(edge);
             let coverage = &mut self.report.coverage;
             coverage.uncovered += 1;
             coverage.widest = coverage.widest.max(f64::from(gap));
@@ -510,14 +508,15 @@ impl<'a> Fronts<'a> {
             .zip(parameters.par_chunks_mut(width))
             .zip(seeds.par_chunks_mut(length))
             .with_min_len(TASK)
-            .map_init(SeedScratch::default, |scratch, ((edge, parameter), seed)| {
-                this.middle(edge.0, parameter, seed, scratch)
-            })
+            .map_init(
+                SeedScratch::default,
+                |scratch, ((edge, parameter), seed)| this.middle(edge.0, parameter, seed, scratch),
+            )
             .collect();
         let found = (parameters.chunks_exact(width)).zip(seeds.chunks_exact(length));
         for ((&(edge, gap), middle), (parameter, seed)) in edges.iter().zip(middles).zip(found) {
             if middle.distinct {
-                self.complex.split(edge);
+                self.neighbours.split(edge);
                 self.place(parameter, seed, middle.guarded, middle.at_guard);
                 continue;
             }
@@ -527,7 +526,7 @@ impl<'a> Fronts<'a> {
                 coverage.indistinguishable += 1;
                 coverage.widest = coverage.widest.max(f64::from(gap));
             }
-            self.complex.settle(edge);
+            self.neighbours.settle(edge);
         }
     }
 
@@ -540,7 +539,7 @@ impl<'a> Fronts<'a> {
         scratch: &mut SeedScratch,
     ) -> Middle {
         let (surface, nodes) = (&self.plan.surface, &self.nodes);
-        let Ends(a, b) = self.complex.ends(edge);
+        let Edge(a, b) = edge;
         let outside = |v: Vertex| nodes.state(v) == Some(State::Outside);
         let (p, q) = (nodes.parameter(a), nodes.parameter(b));
         match (outside(a), outside(b)) {

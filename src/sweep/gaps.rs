@@ -52,7 +52,11 @@ impl Gaps {
                 for l in 0..BLOCK {
                     let distance = (x[l] - y[l]).abs();
                     gap[l] = if distance > gap[l] { distance } else { gap[l] };
-                    let (low, high) = if x[l] < y[l] { (x[l], y[l]) } else { (y[l], x[l]) };
+                    let (low, high) = if x[l] < y[l] {
+                        (x[l], y[l])
+                    } else {
+                        (y[l], x[l])
+                    };
                     outside[l] |= u32::from(high < *lo) | u32::from(low > *hi);
                 }
             }

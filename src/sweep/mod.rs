@@ -3,10 +3,11 @@
 
 pub mod accuracy;
 mod caustic;
-pub mod complex;
+mod complex;
 mod draft;
 mod fronts;
 mod gaps;
+mod neighbours;
 mod nodes;
 mod observe;
 mod paths;

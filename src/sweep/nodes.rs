@@ -1,7 +1,7 @@
 //! What is kept of a sweep's vertices while they have open edges, in rows of flat arrays.
 
-use super::complex::Vertex;
 use super::gaps::Passed;
+use super::neighbours::Vertex;
 use super::paths::{Paths, Row};
 
 /// Without a row.

@@ -214,7 +214,9 @@ mod tests {
                 paths.beyond.file = File::open("/dev/null").ok();
             }
             let row = |r: u32, round: u32| -> Vec<f32> {
-                (0..width).map(|k| (r * 100 + round) as f32 + k as f32).collect()
+                (0..width)
+                    .map(|k| (r * 100 + round) as f32 + k as f32)
+                    .collect()
             };
             for round in 0..2 {
                 let rows = [0, 2, 4, 7];

@@ -1,7 +1,8 @@
 //! Where trajectories start, backward in time: the seed ellipsoid, or the terminal cost over the
 //! region.
 
-use super::complex::{Complex, Edge, Ends, Vertex};
+use super::complex::Complex;
+use super::neighbours::{Edge, Vertex};
 use crate::hamiltonian::{System, Terminal};
 use crate::local::{LocalSolution, SeedScratch};
 use crate::numeric::random::random;
@@ -76,7 +77,7 @@ impl Surface {
 
     /// A first triangulation, with the parameters of its vertices. With more than a few states
     /// every split multiplies simplices: there the corners alone are the start.
-    pub fn triangulation(&self, most: usize) -> (Complex, Vec<Vec<f64>>) {
+    pub fn triangulation(&self, most: usize) -> (Vec<Vec<Vertex>>, Vec<Vec<f64>>) {
         let n = self.states;
         let dimension = match self.kind {
             Kind::Sphere(_) => n - 1,
@@ -87,19 +88,11 @@ impl Surface {
         } else {
             most.min(INITIAL * dimension)
         };
-        self.triangulated(wanted)
+        self.simplices(wanted)
     }
 
     /// The simplices of a triangulation with about so many vertices, and their parameters.
     pub fn simplices(&self, wanted: usize) -> (Vec<Vec<Vertex>>, Vec<Vec<f64>>) {
-        if let (Kind::Sphere(_), 1) = (&self.kind, self.states) {
-            return (vec![vec![0], vec![1]], vec![vec![1.0], vec![-1.0]]);
-        }
-        let (complex, parameters) = self.triangulated(wanted);
-        (complex.simplices(), parameters)
-    }
-
-    fn triangulated(&self, wanted: usize) -> (Complex, Vec<Vec<f64>>) {
         let (mut complex, mut parameters) = match self.kind {
             Kind::Sphere(_) => Complex::sphere(self.states),
             Kind::Box { .. } => Complex::unit_box(self.states),
@@ -107,14 +100,7 @@ impl Surface {
         let mut open = complex.take_fresh();
         while parameters.len() < wanted && !open.is_empty() {
             // The longest first; ties in order of creation.
-            let ends = |complex: &Complex, e: Edge| {
-                let Ends(a, b) = complex.ends(e);
-                [a as usize, b as usize]
-            };
-            let length = |e: &Edge| {
-                let [a, b] = ends(&complex, *e);
-                distance(&parameters[a], &parameters[b])
-            };
+            let length = |e: &Edge| distance(&parameters[e.0 as usize], &parameters[e.1 as usize]);
             let longest = open.iter().map(length).fold(0.0, f64::max);
             let (split, keep): (Vec<Edge>, Vec<Edge>) = open
                 .iter()
@@ -124,16 +110,14 @@ impl Surface {
                 if parameters.len() >= wanted {
                     break;
                 }
-                let [a, b] = ends(&complex, edge);
-                let middle = self.between(&parameters[a], &parameters[b]);
                 complex.split(edge);
-                parameters.push(middle);
+                let (a, b) = (edge.0 as usize, edge.1 as usize);
+                parameters.push(self.between(&parameters[a], &parameters[b]));
             }
             open = keep;
             open.extend(complex.take_fresh());
         }
-        complex.renew();
-        (complex, parameters)
+        (complex.simplices(), parameters)
     }
 
     /// The parameter half-way between two.
