@@ -42,6 +42,8 @@ pub struct LocalSolution {
     basis: Basis,
     value: Vec<f64>,
     gradient: Vec<Vec<f64>>,
+    /// `[monomial][derivative by z_i, then V]` up to the degree kept.
+    packed: Vec<f64>,
     /// Second derivatives by `z_i`, `z_j`, j up to i, row by row.
     second: Vec<Vec<f64>>,
     /// Largest sizes of the parts of V not kept, on the unit sphere of z, with their degrees.
@@ -178,6 +180,10 @@ impl LocalSolution {
         let second = (gradient.iter().enumerate())
             .flat_map(|(i, g)| basis.gradient(g).into_iter().take(i + 1))
             .collect();
+        let terms = basis.start[degree + 1];
+        let packed = (0..terms)
+            .flat_map(|k| gradient.iter().chain([&kept]).map(move |c| c[k]))
+            .collect();
         let inverse = to_adjoint.transpose();
         let flow = Flow::new(
             inverse * &riccati.closed_loop * &t,
@@ -198,6 +204,7 @@ impl LocalSolution {
             basis,
             value: kept,
             gradient,
+            packed,
             second,
             limit,
             degree,
@@ -292,7 +299,15 @@ impl LocalSolution {
 
     /// [`LocalSolution::seed`], into memory that is there: `seed` has room for `(s, p, V)`.
     pub fn seed_into(&self, direction: &[f64], seed: &mut [f64], scratch: &mut SeedScratch) {
-        self.flow.inward(direction, scratch);
+        match direction.len() {
+            1 => self.flow.inward::<1>(direction, scratch),
+            2 => self.flow.inward::<2>(direction, scratch),
+            3 => self.flow.inward::<3>(direction, scratch),
+            4 => self.flow.inward::<4>(direction, scratch),
+            5 => self.flow.inward::<5>(direction, scratch),
+            6 => self.flow.inward::<6>(direction, scratch),
+            _ => self.flow.inward::<0>(direction, scratch),
+        }
         let SeedScratch { z, monomials, .. } = scratch;
         self.fill(z, monomials, seed);
     }
@@ -306,23 +321,38 @@ impl LocalSolution {
 
     /// [`LocalSolution::at`], into memory that is there.
     fn fill(&self, z: &[f64], monomials: &mut Vec<f64>, to: &mut [f64]) {
-        let n = z.len();
-        self.basis.monomials_into(z, monomials);
-        let dot = |c: &[f64]| c.iter().zip(&*monomials).map(|(c, m)| c * m).sum::<f64>();
-        let (s, rest) = to.split_at_mut(n);
-        let (p, value) = rest.split_at_mut(n);
-        multiply(&self.t, z, s);
-        p.fill(0.0);
-        for (column, g) in self
-            .to_adjoint
-            .as_slice()
-            .chunks_exact(n)
-            .zip(&self.gradient)
-        {
-            let q = dot(g);
-            p.iter_mut().zip(column).for_each(|(p, c)| *p += c * q);
+        // With the number of states as a constant loops over them are none.
+        match z.len() {
+            1 => self.fill_of::<1>(z, monomials, to),
+            2 => self.fill_of::<2>(z, monomials, to),
+            3 => self.fill_of::<3>(z, monomials, to),
+            4 => self.fill_of::<4>(z, monomials, to),
+            5 => self.fill_of::<5>(z, monomials, to),
+            6 => self.fill_of::<6>(z, monomials, to),
+            _ => self.fill_of::<0>(z, monomials, to),
         }
-        value[0] = dot(&self.value);
+    }
+
+    /// [`LocalSolution::fill`] of N states, or any number where that is 0.
+    #[inline(always)]
+    fn fill_of<const N: usize>(&self, z: &[f64], monomials: &mut Vec<f64>, to: &mut [f64]) {
+        let n = if N > 0 { N } else { z.len() };
+        (self.basis).monomials_into(z, self.packed.len() / (n + 1), monomials);
+        let (s, rest) = to.split_at_mut(n);
+        // The sums of V and of its derivatives go side by side; each is taken in order.
+        let sums = &mut rest[..n + 1];
+        sums.fill(0.0);
+        for (m, row) in monomials.iter().zip(self.packed.chunks_exact(n + 1)) {
+            for k in 0..n + 1 {
+                sums[k] += row[k] * m;
+            }
+        }
+        multiply::<N>(&self.t, z, s);
+        let (q, _) = rest.split_at_mut(n);
+        // p takes the place of V's derivatives.
+        monomials.clear();
+        monomials.extend_from_slice(q);
+        multiply::<N>(&self.to_adjoint, monomials, q);
     }
 
     /// V of the local solution at a deviation `s`, with `p`.
@@ -419,20 +449,22 @@ impl Flow {
     /// The point, `scratch.z`, where the trajectory from a direction on the outer sphere meets the
     /// inner sphere. `|z|` never rises along the flow: the longest steps that stay outside come
     /// first, Newton's method finds the rest of the time.
-    fn inward(&self, direction: &[f64], scratch: &mut SeedScratch) {
+    ///
+    /// Of N states, or any number where that is 0.
+    fn inward<const N: usize>(&self, direction: &[f64], scratch: &mut SeedScratch) {
         let norm = |z: &[f64]| z.iter().map(|x| x * x).sum::<f64>().sqrt();
         scratch.z.clear();
         (scratch.z).extend(direction.iter().map(|x| x * self.outer_radius));
         if self.outer_radius > self.radius {
             scratch.next.resize(direction.len(), 0.0);
             for power in self.powers[..self.useful].iter().rev() {
-                multiply(power, &scratch.z, &mut scratch.next);
+                multiply::<N>(power, &scratch.z, &mut scratch.next);
                 if norm(&scratch.next) > self.radius {
                     std::mem::swap(&mut scratch.z, &mut scratch.next);
                 }
             }
             let mut t = 0.0;
-            self.advance(t, scratch);
+            self.advance::<N>(t, scratch);
             for _ in 0..Self::NEWTON {
                 let (moved, rate) = (&scratch.next, &scratch.rate);
                 let slope: f64 = moved.iter().zip(rate).map(|(x, v)| x * v).sum();
@@ -444,7 +476,7 @@ impl Flow {
                 if t == before {
                     break;
                 }
-                self.advance(t, scratch);
+                self.advance::<N>(t, scratch);
             }
             std::mem::swap(&mut scratch.z, &mut scratch.next);
         }
@@ -453,7 +485,8 @@ impl Flow {
     }
 
     /// The point a short time after `scratch.z`, as `scratch.next`, and its rate.
-    fn advance(&self, t: f64, scratch: &mut SeedScratch) {
+    #[inline(always)]
+    fn advance<const N: usize>(&self, t: f64, scratch: &mut SeedScratch) {
         let SeedScratch {
             z,
             next: sum,
@@ -465,21 +498,26 @@ impl Flow {
         sum.clone_from(z);
         rate.resize(z.len(), 0.0);
         for k in 1..=Self::TERMS {
-            multiply(&self.rate, term, rate);
+            multiply::<N>(&self.rate, term, rate);
             let factor = t / k as f64;
             rate.iter_mut().for_each(|x| *x *= factor);
             std::mem::swap(term, rate);
             sum.iter_mut().zip(&*term).for_each(|(s, x)| *s += x);
         }
-        multiply(&self.rate, sum, rate);
+        multiply::<N>(&self.rate, sum, rate);
     }
 }
 
-/// `to = m z`, without allocation.
-fn multiply(m: &DMatrix<f64>, z: &[f64], to: &mut [f64]) {
+/// `to = m z`, without allocation; of N components, or any number where that is 0.
+#[inline(always)]
+fn multiply<const N: usize>(m: &DMatrix<f64>, z: &[f64], to: &mut [f64]) {
+    let n = if N > 0 { N } else { z.len() };
+    let (z, to) = (&z[..n], &mut to[..n]);
     to.fill(0.0);
-    for (column, x) in m.as_slice().chunks_exact(z.len()).zip(z) {
-        to.iter_mut().zip(column).for_each(|(t, c)| *t += c * x);
+    for (column, x) in m.as_slice().chunks_exact(n).zip(z) {
+        for k in 0..n {
+            to[k] += column[k] * x;
+        }
     }
 }
 

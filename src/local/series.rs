@@ -133,15 +133,15 @@ impl Basis {
     /// Values of all monomials at a point.
     pub fn monomials(&self, z: &[f64]) -> Vec<f64> {
         let mut values = Vec::new();
-        self.monomials_into(z, &mut values);
+        self.monomials_into(z, self.exponents.len(), &mut values);
         values
     }
 
-    /// [`Basis::monomials`], into memory that is there.
-    pub fn monomials_into(&self, z: &[f64], values: &mut Vec<f64>) {
+    /// Values of the first `count` monomials at a point, into memory that is there.
+    pub fn monomials_into(&self, z: &[f64], count: usize, values: &mut Vec<f64>) {
         values.clear();
         values.push(1.0);
-        for (lower, v) in &self.factors {
+        for (lower, v) in &self.factors[..count - 1] {
             values.push(values[*lower as usize] * z[*v as usize]);
         }
     }
