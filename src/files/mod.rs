@@ -1,10 +1,12 @@
 //! Files on disk: there under their final name only when they are complete.
 
+mod behind;
 mod error;
 mod temporary;
 #[cfg(test)]
 pub(crate) mod testing;
 
+pub use behind::Behind;
 pub use error::FileError;
 pub use temporary::Temporary;
 #[cfg(unix)]

@@ -7,6 +7,7 @@ use rust_hdf5::{FilterPipeline, H5Dataset, H5File, H5Group, H5Type, Hdf5Error};
 use super::attribute::AttributeOwner;
 use super::spec::{Coordinate, Storage};
 use super::{AttributeValue, Compression, Dimension, Group, OutputError, Variable};
+use crate::files::Behind;
 
 /// Bytes of a chunk, before compression: large enough that the calls cost nothing, within the 1 MiB
 /// chunk cache of readers.
@@ -31,6 +32,13 @@ impl Values<'_> {
         match self {
             Self::F64(values) => values.len(),
             Self::I32(values) => values.len(),
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Self::F64(values) => size_of_val(*values),
+            Self::I32(values) => size_of_val(*values),
         }
     }
 
@@ -97,6 +105,7 @@ struct Column {
 /// is appended.
 pub struct GroupWriter {
     path: PathBuf,
+    behind: Behind,
     group: String,
     rows: usize,
     growing_index: Option<H5Dataset>,
@@ -114,7 +123,13 @@ impl std::fmt::Debug for GroupWriter {
 }
 
 impl GroupWriter {
-    pub(super) fn create(file: &H5File, path: &Path, group: &Group) -> Result<Self, OutputError> {
+    /// `path`: the file's name, for errors.
+    pub(super) fn create(
+        file: &H5File,
+        path: &Path,
+        behind: Behind,
+        group: &Group,
+    ) -> Result<Self, OutputError> {
         let fail = |object: &str| {
             let object = format!("`/{}{object}`", group.name);
             move |error| OutputError::from_hdf5(path, &object, error)
@@ -143,6 +158,7 @@ impl GroupWriter {
             .find_map(|(dimension, scale)| dimension.length().is_none().then_some(scale));
         Ok(Self {
             path: path.to_owned(),
+            behind,
             group: group.name.clone(),
             rows: 0,
             growing_index,
@@ -186,18 +202,21 @@ impl GroupWriter {
         if rows == 0 {
             return Ok(());
         }
+        let mut bytes = 0;
         for (column, values) in order {
             let result = match values {
                 Values::F64(values) => column.dataset.append(values),
                 Values::I32(values) => column.dataset.append(values),
             };
             result.map_err(|error| self.error(&column.name, error))?;
+            bytes += values.bytes();
         }
         let numbers: Vec<i64> = (self.rows..self.rows + rows).map(|n| n as i64).collect();
         index
             .append(&numbers)
             .map_err(|error| self.error("the index", error))?;
         self.rows += rows;
+        self.behind.wrote(bytes);
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use super::attribute::AttributeOwner;
 use super::error::io_cause;
 use super::{AttributeValue, Group, GroupWriter, OutputError};
-use crate::files::{Draft, FileError};
+use crate::files::{Behind, Draft, FileError};
 use rust_hdf5::{H5File, Hdf5Error};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -123,7 +123,8 @@ impl ResultFile {
                 name: group.name.clone(),
             });
         }
-        let writer = GroupWriter::create(self.open_file()?, self.path(), group)?;
+        let behind = Behind::of(self.draft.hidden());
+        let writer = GroupWriter::create(self.open_file()?, self.path(), behind, group)?;
         self.groups.push(group.name.clone());
         Ok(writer)
     }

@@ -37,7 +37,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
         let (now, next) = (self.layout.now, self.layout.next);
         let mut most = T::of(1.0);
         let mut ended = None;
-        if !self.inside_at_end(lane) {
+        if let Some((status, at)) = self.ended[lane].take() {
+            (ended, most) = (Some(status), at);
+        } else if !self.inside_at_end(lane) {
             most = self.last_inside::<FMA>(lane);
             ended = Some(Status::Guard);
         }
@@ -53,7 +55,9 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
             self.next_level[lane] = levels.len() - 1;
         }
         let is_passed = |k: usize| k < levels.len() && T::of(levels[k]) <= end;
-        while ended != Some(Status::Reached) && is_passed(self.next_level[lane]) {
+        while !matches!(ended, Some(Status::Reached | Status::LeftRegion))
+            && is_passed(self.next_level[lane])
+        {
             let first = self.next_level[lane];
             let count = (1..AT_ONCE).take_while(|j| is_passed(first + j)).count() + 1;
             let wanted = std::array::from_fn(|j| T::of(levels[first + j.min(count - 1)]));
@@ -103,7 +107,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
     }
 
     /// Whether the guards hold at the end of the lane's step.
-    fn inside_at_end(&self, lane: usize) -> bool {
+    pub(super) fn inside_at_end(&self, lane: usize) -> bool {
         let Some(guards) = &self.kernel.spec.guards else {
             return true;
         };
@@ -113,7 +117,7 @@ impl<T: Real, const W: usize> Block<'_, T, W> {
 
     /// Computes the dense output of all lanes' steps, once a step.
     #[inline(always)]
-    fn densify<const FMA: bool>(&mut self) {
+    pub(super) fn densify<const FMA: bool>(&mut self) {
         if let (Some(dense), false) = (&mut self.dense, self.densified) {
             dense.run::<FMA>(&mut self.frame);
             self.densified = true;

@@ -5,6 +5,7 @@
 //! `shaders/block.wgsl` mirrors this room.
 
 mod events;
+mod sampling;
 
 use super::lanes::Lanes;
 use super::real::Real;
@@ -150,6 +151,10 @@ struct Block<'a, T, const W: usize> {
     next_level: [usize; W],
     /// The dense output of the lane in hand, `[component][power]`.
     polynomials: Vec<T>,
+    /// Points of all lanes' steps, by component, and their times.
+    points: Vec<Lanes<T, W>>,
+    /// How and at which fraction of the step at hand a level has ended a lane's trajectory.
+    ended: [Option<(Status, T)>; W],
 }
 
 /// Integrates the trajectories of one chunk; how many steps the block took.
@@ -174,6 +179,8 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
         trajectory: [None; W],
         next_level: [0; W],
         polynomials: vec![T::of(0.0); layout.dim * kernel.scheme.degree()],
+        points: vec![Lanes::splat(T::of(0.0)); layout.dim + 1],
+        ended: [None; W],
     };
     let mut active = 0;
     for lane in 0..W {
@@ -187,6 +194,9 @@ pub fn integrate<T: Real, const W: usize, const FMA: bool>(
             .copy_within(layout.next.y..layout.next.end, layout.now.y);
         step.run::<FMA>(&mut block.frame);
         block.densified = false;
+        if kernel.spec.store {
+            block.sample::<FMA>(out);
+        }
         for lane in 0..W {
             if block.set(layout.special, lane)
                 && block.trajectory[lane].is_some()
