@@ -24,6 +24,7 @@ pub struct Pass<'s> {
     targets: Option<Targets>,
     aim: Option<&'s MapAim>,
     stored: bool,
+    no_trajectories: bool,
     study: bool,
     grid_guesses: bool,
 }
@@ -36,6 +37,8 @@ pub struct Outcome {
     pub swept: SweepReport,
     /// Whether the sweep is a result. Else it gave first guesses.
     pub stored: bool,
+    /// Whether its trajectories were kept.
+    pub trajectories: bool,
     /// The states that were solved for.
     pub answers: Option<Answers>,
     /// How many of the answers, from the first on, are those of a list of the user's own.
@@ -109,6 +112,7 @@ impl Session<'_> {
             targets,
             aim,
             stored,
+            no_trajectories: wanted.no_trajectories,
             study: wanted.study && model.study.is_some(),
             grid_guesses: wanted.grid_guesses,
         })
@@ -121,9 +125,9 @@ impl Pass<'_> {
         &self.plan
     }
 
-    /// Whether the sweep is a result.
+    /// Whether the sweep is a result, with its trajectories.
     pub fn stores_sweep(&self) -> bool {
-        self.stored
+        self.stored && !self.no_trajectories
     }
 
     /// Computes everything. Blocks of swept trajectories go to `write` as they finish, if the sweep
@@ -132,6 +136,7 @@ impl Pass<'_> {
     /// # Errors
     /// Those of the computation, and of `write`.
     pub fn perform<E: From<SessionError>>(self, write: Write<'_, E>) -> Result<Outcome, E> {
+        let stores_sweep = self.stores_sweep();
         let Pass {
             session,
             plan,
@@ -141,10 +146,12 @@ impl Pass<'_> {
             stored,
             study,
             grid_guesses,
+            ..
         } = self;
         let mut outcome = Outcome {
             swept: SweepReport::default(),
             stored,
+            trajectories: stores_sweep,
             answers: None,
             listed: 0,
             sampled: None,
@@ -160,7 +167,7 @@ impl Pass<'_> {
         let mut archive = solves.then(|| Archive::new(&outcome.plan));
         let direct = !stored && value::goes_without_sweep(&outcome.plan);
         if !direct {
-            let write = stored.then_some(write);
+            let write = stores_sweep.then_some(write);
             outcome.swept = session.sweep_into(&outcome.plan, archive.as_mut(), write)?;
         }
         if let Some(archive) = &mut archive {

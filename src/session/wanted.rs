@@ -15,6 +15,8 @@ use crate::value::{Grid, Request};
 pub struct Wanted {
     /// The sweep is a result, where the scene has `[shoot_out]`. Else it gives first guesses only.
     pub sweep: bool,
+    /// The sweep is told of, but its trajectories are not kept.
+    pub no_trajectories: bool,
     /// States that are solved for.
     pub states: States,
     /// The map to an error, where the scene has `[map] error`.
@@ -61,6 +63,7 @@ impl Wanted {
     pub fn all() -> Self {
         Self {
             sweep: true,
+            no_trajectories: false,
             states: States::OfScene { needed: false },
             map: true,
             study: true,

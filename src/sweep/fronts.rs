@@ -14,6 +14,7 @@ use super::observe::{self, Observed, Strip};
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
 use super::surface::Guarded;
+use crate::backend::cpu::Simd;
 use crate::backend::{Backend, BackendError, Kernel, Status, Trajectories, batch_limit};
 use crate::local::SeedScratch;
 use crate::model::Precision;
@@ -212,6 +213,7 @@ impl<'a> Fronts<'a> {
                 bounds,
                 spacing: plan.shoot_out.spacing,
                 folds: plan.slope.is_some(),
+                simd: Simd::detect(),
             },
             waiting: Waiting::default(),
             deferred: Vec::new(),

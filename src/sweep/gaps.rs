@@ -1,6 +1,8 @@
 //! How far neighbouring trajectories are apart: on the fronts both pass, and where they end in
 //! folds.
 
+use crate::backend::cpu::Simd;
+
 /// Levels looked at together.
 pub(super) const BLOCK: usize = 8;
 
@@ -24,6 +26,13 @@ pub(super) struct Gaps {
     pub spacing: f64,
     /// Whether trajectories end in folds.
     pub folds: bool,
+    pub simd: Simd,
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn widest_avx2(gaps: &Gaps, a: &[f32], b: &[f32], common: usize) -> f32 {
+    gaps.widest_of(a, b, common)
 }
 
 impl Gaps {
@@ -41,6 +50,16 @@ impl Gaps {
     /// Widest gap over the fronts that both trajectories reach, where the piece of front between
     /// them may meet the region.
     fn widest(&self, a: &[f32], b: &[f32], common: usize) -> f32 {
+        #[cfg(target_arch = "x86_64")]
+        if self.simd != Simd::Baseline {
+            // SAFETY: the wider sets have AVX2.
+            return unsafe { widest_avx2(self, a, b, common) };
+        }
+        self.widest_of(a, b, common)
+    }
+
+    #[inline(always)]
+    fn widest_of(&self, a: &[f32], b: &[f32], common: usize) -> f32 {
         let stride = a.len() / self.bounds.len();
         let mut widest = [0.0f32; BLOCK];
         for from in (0..common).step_by(BLOCK) {

@@ -259,6 +259,42 @@ fn json_is_alone_on_standard_output() {
     }
 }
 
+/// Without trajectories a sweep tells the same of them.
+#[test]
+fn trajectories_may_be_left_out() {
+    let here = directory("without");
+    let scene = shipped("manufactured");
+    let told = |command: &str, out: &str, more: &[&str]| {
+        let arguments = [
+            &[command, &scene, "--json", "--backend", "cpu", "--out", out],
+            more,
+        ];
+        let output = costate(&here, &arguments.concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let mut told: serde_json::Value =
+            serde_json::from_slice(&output.stdout).expect("standard output is JSON");
+        let stored = told["trajectories_stored"].take();
+        let file = rust_hdf5::H5File::open(here.join(out)).expect("a result file");
+        assert_eq!(stored, file.dataset("trajectories/V").is_ok());
+        let kept = [
+            "trajectories",
+            "status",
+            "coverage",
+            "hamiltonian",
+            "seed_value",
+            "estimates",
+        ];
+        (stored, kept.map(|name| told[name].take()))
+    };
+    for command in ["shoot-out", "run"] {
+        let (all, with) = told(command, "with.h5", &[]);
+        let (none, without) = told(command, "without.h5", &["--no-trajectories"]);
+        assert_eq!((all, none), (true.into(), false.into()));
+        assert_eq!(with, without);
+        assert!(with[0].as_u64().is_some_and(|count| count > 50));
+    }
+}
+
 #[test]
 fn quiet_is_quiet() {
     let here = directory("quiet");

@@ -142,6 +142,10 @@ pub struct RunArgs {
     /// the same; a second one ends at once, with nothing.)
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub time_limit: Option<f64>,
+    /// Do not store the trajectories of `[shoot_out]`: only what is told of them. (Fewer points a
+    /// trajectory are `[shoot_out] samples`.)
+    #[arg(long)]
+    pub no_trajectories: bool,
     /// Make no report (page and pictures) at the end of `run`.
     #[arg(long)]
     pub no_report: bool,

@@ -31,7 +31,7 @@ impl Evaluator {
             }
         };
         Self {
-            routine: Routine::new(simd != Simd::Baseline, Precision::F64, LANES, record),
+            routine: Routine::new(Some(simd), Precision::F64, LANES, record),
             inputs: program.inputs,
             outputs: program.outputs.len(),
             simd,

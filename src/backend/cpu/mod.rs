@@ -55,6 +55,17 @@ impl Simd {
         Simd::Baseline
     }
 
+    /// Whether this machine has it.
+    pub fn is_here(self) -> bool {
+        match self {
+            Simd::Baseline => true,
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => Simd::detect() == Simd::Avx512,
+        }
+    }
+
     pub fn name(self) -> &'static str {
         match self {
             Simd::Baseline => "baseline SIMD",
@@ -97,16 +108,20 @@ impl Cpu {
     /// A backend restricted to an instruction set the machine has, which interprets the equations;
     /// `None` where the machine has not.
     pub fn interpreting(simd: Simd) -> Option<Self> {
-        let available = match simd {
-            Simd::Baseline => true,
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
-            #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Simd::detect() == Simd::Avx512,
-        };
-        available.then_some(Self {
+        simd.is_here().then_some(Self {
             simd,
             compile: false,
+            too_long: Arc::default(),
+        })
+    }
+
+    /// A backend restricted to an instruction set, for which it compiles the equations; `None` where
+    /// the machine has not, or lets no process make code.
+    pub fn compiling(simd: Simd) -> Option<Self> {
+        let works = simd != Simd::Baseline && simd.is_here() && jit_works();
+        works.then_some(Self {
+            simd,
+            compile: true,
             too_long: Arc::default(),
         })
     }
@@ -148,12 +163,12 @@ impl Backend for Cpu {
         if !self.compile {
             return format!("CPU, {threads} threads, {}, interpreted", self.simd.name());
         }
-        // Whatever the widest set: what is compiled are AVX2 instructions.
         let partly = match self.too_long.load(Ordering::Relaxed) {
             true => ", some equations too long for that and interpreted",
             false => "",
         };
-        format!("CPU, {threads} threads, AVX2, compiled{partly}")
+        let simd = self.simd.name();
+        format!("CPU, {threads} threads, {simd}, compiled{partly}")
     }
 
     fn supports(&self, _: Precision) -> bool {
@@ -195,11 +210,14 @@ impl CpuKernel {
             Scheme::RungeKutta(_) => 0,
             Scheme::Taylor(order) => order,
         };
-        let (spec, compile) = (&self.spec, self.backend.compile);
+        let (spec, compile) = (
+            &self.spec,
+            self.backend.compile.then_some(self.backend.simd),
+        );
         let too_long = &self.backend.too_long;
         (self.compiled.entry((width, order, variant))).or_insert_with(|| {
             let made = Compiled::new(spec, scheme, variant, compile, width);
-            if compile && !made.is_compiled() {
+            if compile.is_some() && !made.is_compiled() {
                 too_long.store(true, Ordering::Relaxed);
             }
             made

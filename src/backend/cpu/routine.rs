@@ -1,8 +1,9 @@
 //! Vector code ready to run: compiled where the machine allows it, else interpreted.
 
+use super::Simd;
 use super::code::Recorder;
 #[cfg(target_arch = "x86_64")]
-use super::jit::{Executable, Machine};
+use super::jit::{Executable, Machine, Set};
 use super::lanes::{Interpreted, Lanes};
 use super::real::Real;
 use crate::model::Precision;
@@ -15,19 +16,19 @@ pub enum Routine {
 }
 
 impl Routine {
-    /// `compile`: whether to try it. `record` may be called twice: once for the compiler, once for
-    /// the interpreter.
+    /// `compile`: for which instructions, if at all. `record` may be called twice: once for the
+    /// compiler, once for the interpreter.
     pub fn new(
-        compile: bool,
+        compile: Option<Simd>,
         precision: Precision,
         width: usize,
         record: impl Fn(&mut Recorder),
     ) -> Self {
         #[cfg(target_arch = "x86_64")]
-        if compile {
+        if let Some(set) = compile.and_then(set) {
             let mut recorder = Recorder::new(precision, true);
             record(&mut recorder);
-            if let Some(executable) = Executable::new(recorder, precision, width) {
+            if let Some(executable) = Executable::new(recorder, set, precision, width) {
                 return Routine::Compiled(executable);
             }
         }
@@ -53,6 +54,15 @@ impl Routine {
             Routine::Compiled(executable) => Session::Compiled(executable.machine(parameters)),
             Routine::Interpreted(code) => Session::Interpreted(code, code.registers(parameters)),
         }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn set(simd: Simd) -> Option<Set> {
+    match simd {
+        Simd::Baseline => None,
+        Simd::Avx2 => Some(Set::Avx2),
+        Simd::Avx512 => Some(Set::Avx512),
     }
 }
 

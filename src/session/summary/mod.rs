@@ -274,7 +274,7 @@ impl Session<'_> {
             stopped: outcome.stopped,
             laws_stopped: false,
             trajectories: swept.trajectories,
-            trajectories_stored: outcome.stored,
+            trajectories_stored: outcome.trajectories,
             status: statuses.map(|(s, n)| (plan.status_name(*s), *n)).collect(),
             coverage: CoverageSummary {
                 spacing: plan.shoot_out.spacing,

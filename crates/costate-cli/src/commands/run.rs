@@ -107,6 +107,7 @@ impl<'a> Parts<'a> {
             },
         };
         wanted.grid_guesses = args.grid_guesses;
+        wanted.no_trajectories = args.no_trajectories;
         if args.grid_guesses {
             dynamic_programming::refuse(model, "--grid-guesses").map_err(SessionError::from)?;
         }

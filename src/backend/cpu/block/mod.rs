@@ -7,6 +7,7 @@
 mod events;
 mod sampling;
 
+use super::Simd;
 use super::lanes::Lanes;
 use super::real::Real;
 use super::routine::{Routine, Session};
@@ -39,8 +40,14 @@ impl Compiled {
             .all(Routine::is_compiled)
     }
 
-    /// `compile`: to machine code, where the machine allows it.
-    pub fn new(spec: &Spec, scheme: Scheme, variant: Variant, compile: bool, width: usize) -> Self {
+    /// `compile`: to machine code of which instructions, where the machine allows it.
+    pub fn new(
+        spec: &Spec,
+        scheme: Scheme,
+        variant: Variant,
+        compile: Option<Simd>,
+        width: usize,
+    ) -> Self {
         let layout = Layout::new(spec, scheme);
         let routine = |record: &dyn Fn(&mut super::code::Recorder)| {
             Routine::new(compile, spec.precision, width, record)

@@ -1,12 +1,11 @@
 //! Registers for straight-line code: what is needed furthest in the future goes to memory (Belady
 //! 1966).
 
-use super::assembler::{Assembler, Base, Form, Operand, Register, VECTOR};
-use crate::backend::cpu::code::{Fused, Op, Value};
+use super::assembler::{Assembler, Base, Form, MASKS, Mask, Operand, Register, Set};
+use crate::backend::cpu::code::{Binary, Fused, Op, Value};
 use crate::model::Precision;
 use std::collections::HashMap;
 
-const REGISTERS: usize = 16;
 const NEVER: u32 = u32::MAX;
 
 /// Machine code and what it needs.
@@ -20,6 +19,7 @@ pub struct Assembled {
 /// Where values lie in memory.
 #[derive(Clone, Copy)]
 pub struct Layout {
+    pub set: Set,
     /// Bytes from one slot of the frame to the next.
     pub stride: usize,
     /// Neighbouring vectors side by side.
@@ -35,7 +35,10 @@ struct Allocator<'a> {
     /// Reads of each value, latest first.
     uses: Vec<Vec<u32>>,
     register: Vec<Option<Register>>,
-    held: [Option<Value>; REGISTERS],
+    held: Vec<Option<Value>>,
+    /// The mask registers that comparisons are in which only blends read, and soon.
+    mask: Vec<Option<Mask>>,
+    next_mask: Mask,
     /// Where a value can be read again.
     memory: Vec<Option<(Base, i32)>>,
     free_spills: Vec<i32>,
@@ -55,10 +58,12 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
     let mut this = Allocator {
         ops,
         layout,
-        asm: Assembler::new(precision),
+        asm: Assembler::new(layout.set, precision),
         uses,
         register: vec![None; ops.len()],
-        held: [None; REGISTERS],
+        held: vec![None; layout.set.registers()],
+        mask: vec![None; ops.len()],
+        next_mask: 0,
         memory: vec![None; ops.len()],
         free_spills: Vec::new(),
         ended: Vec::new(),
@@ -69,7 +74,8 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
     for i in 0..ops.len() {
         this.emit(i);
     }
-    this.asm.repeat(layout.copies as usize * VECTOR);
+    this.asm
+        .repeat(layout.copies as usize * layout.set.vector());
     Assembled {
         bytes: this.asm.bytes,
         pool: this.patterns,
@@ -80,7 +86,35 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
 impl Allocator<'_> {
     fn frame(&self, slot: u32) -> i32 {
         let (slot, copy) = (slot / self.layout.copies, slot % self.layout.copies);
-        (slot as usize * self.layout.stride + copy as usize * VECTOR) as i32
+        (slot as usize * self.layout.stride + copy as usize * self.vector()) as i32
+    }
+
+    fn vector(&self) -> usize {
+        self.layout.set.vector()
+    }
+
+    /// Whether a comparison can stay in a mask register: blends alone read it, as what they choose
+    /// by, and its register is not needed again before.
+    fn stays_mask(&self, i: usize) -> bool {
+        let chooses = |u: &u32| match self.ops[*u as usize] {
+            Op::Blend(mask, yes, no) => {
+                let v = i as Value;
+                mask == v && yes != v && no != v
+            }
+            _ => false,
+        };
+        let reads = &self.uses[i];
+        let Some(last) = reads.first() else {
+            return false;
+        };
+        let compares = |op: &&Op| matches!(op, Op::Binary(Binary::Compare(_), ..));
+        self.layout.set == Set::Avx512
+            && reads.iter().all(chooses)
+            && self.ops[i + 1..*last as usize]
+                .iter()
+                .filter(compares)
+                .count()
+                < usize::from(MASKS)
     }
 
     fn next_use(&self, v: Value) -> u32 {
@@ -92,12 +126,14 @@ impl Allocator<'_> {
         self.free_spills.append(&mut self.ended);
         match op {
             Op::Load(slot) => self.memory[i] = Some((Base::Frame, self.frame(slot))),
-            Op::Parameter(p) => self.memory[i] = Some((Base::Pool, (p as usize * VECTOR) as i32)),
+            Op::Parameter(p) => {
+                self.memory[i] = Some((Base::Pool, (p as usize * self.vector()) as i32))
+            }
             Op::Pattern(bits) => {
-                let next = self.layout.parameters + self.patterns.len();
+                let next = (self.layout.parameters + self.patterns.len()) * self.vector();
                 let at = *self.pool.entry(bits).or_insert_with(|| {
                     self.patterns.push(bits);
-                    (next * VECTOR) as i32
+                    next as i32
                 });
                 self.memory[i] = Some((Base::Pool, at));
             }
@@ -121,8 +157,17 @@ impl Allocator<'_> {
                 let ra = self.bring(a, &[b]);
                 let ob = self.operand(b, &[a]);
                 self.used(&[a, b]);
-                let to = self.fresh(&[], i);
-                self.asm.binary(kind, to, ra, ob);
+                match kind {
+                    Binary::Compare(how) if self.stays_mask(i) => {
+                        self.next_mask = self.next_mask % MASKS + 1;
+                        self.mask[i] = Some(self.next_mask);
+                        self.asm.compare(how, self.next_mask, ra, ob);
+                    }
+                    _ => {
+                        let to = self.fresh(&[], i);
+                        self.asm.binary(kind, to, ra, ob);
+                    }
+                }
             }
             Op::Sqrt(a) => {
                 let oa = self.operand(a, &[]);
@@ -135,6 +180,14 @@ impl Allocator<'_> {
                 self.used(&[a]);
                 let to = self.fresh(&[], i);
                 self.asm.shift(matches!(op, Op::ShiftLeft(..)), to, ra, by);
+            }
+            Op::Blend(mask, yes, no) if self.mask[mask as usize].is_some() => {
+                let k = self.mask[mask as usize].unwrap_or_default();
+                let rn = self.bring(no, &[yes]);
+                let oy = self.operand(yes, &[no]);
+                self.used(&[mask, yes, no]);
+                let to = self.fresh(&[], i);
+                self.asm.choose(to, k, oy, rn);
             }
             Op::Blend(mask, yes, no) => {
                 let rm = self.bring(mask, &[yes, no]);
@@ -266,7 +319,7 @@ impl Allocator<'_> {
     /// The register whose value is needed last, free ones first, and when that is.
     fn victim(&self, busy: &[Register]) -> (Register, u32) {
         let mut best: Option<(Register, u32)> = None;
-        for r in 0..REGISTERS as u8 {
+        for r in 0..self.held.len() as u8 {
             if busy.contains(&r) {
                 continue;
             }
@@ -284,9 +337,10 @@ impl Allocator<'_> {
         if let Some(v) = self.held[r as usize].take() {
             self.register[v as usize] = None;
             if self.next_use(v) != NEVER && self.memory[v as usize].is_none() {
+                let vector = self.vector();
                 let at = self.free_spills.pop().unwrap_or_else(|| {
                     self.spills += 1;
-                    ((self.spills - 1) * VECTOR) as i32
+                    ((self.spills - 1) * vector) as i32
                 });
                 self.asm.store(r, Base::Spill, at);
                 self.memory[v as usize] = Some((Base::Spill, at));

@@ -1,6 +1,6 @@
-//! Just-in-time compilation of straight-line vector code for AVX2 and FMA: a whole step of a
-//! scene's equations becomes machine code that keeps its values in registers, where an interpreter
-//! would move each of them through memory.
+//! Just-in-time compilation of straight-line vector code for AVX2 and FMA, or AVX-512: a whole step
+//! of a scene's equations becomes machine code that keeps its values in registers, where an
+//! interpreter would move each of them through memory.
 
 mod allocate;
 mod assembler;
@@ -10,23 +10,55 @@ use super::lanes::Lanes;
 use super::real::Real;
 use crate::model::Precision;
 use allocate::Layout;
-use assembler::VECTOR;
 use memmap2::{Mmap, MmapMut};
 
 /// Operations above which code is not compiled: it would no longer fit the caches that instructions
 /// come from.
 pub const MOST_OPERATIONS: usize = 200_000;
 
-/// A vector's bytes.
-#[repr(align(32))]
+pub use assembler::Set;
+
+/// Bytes that no vector is larger than, aligned as any is.
+#[repr(align(64))]
 #[derive(Clone, Copy)]
-struct Vector(#[allow(dead_code, reason = "machine code reads it")] [u64; VECTOR / 8]);
+struct Line([u64; LINE]);
+
+const LINE: usize = 8;
+
+/// Vectors of a set's size, one behind the other.
+#[derive(Clone)]
+struct Vectors {
+    lines: Vec<Line>,
+    /// Words of a vector.
+    words: usize,
+}
+
+impl Vectors {
+    fn new(count: usize, set: Set) -> Self {
+        let words = set.vector() / 8;
+        Self {
+            lines: vec![Line([0; LINE]); (count * words).div_ceil(LINE)],
+            words,
+        }
+    }
+
+    /// Puts the same number into all lanes of a vector.
+    fn splat(&mut self, vector: usize, bits: u64, precision: Precision) {
+        let bits = match precision {
+            Precision::F32 => bits << 32 | bits,
+            Precision::F64 => bits,
+        };
+        for word in vector * self.words..(vector + 1) * self.words {
+            self.lines[word / LINE].0[word % LINE] = bits;
+        }
+    }
+}
 
 /// Compiled code for frames of `W` lanes.
 pub struct Executable {
     code: Mmap,
     /// Parameters, then constants.
-    pool: Vec<Vector>,
+    pool: Vectors,
     parameters: usize,
     spills: usize,
     /// Slots that a frame must have.
@@ -34,38 +66,51 @@ pub struct Executable {
     /// Lanes of a frame, and groups of vectors they make.
     width: usize,
     groups: usize,
+    set: Set,
     precision: Precision,
 }
 
 /// An executable with its parameters, and room for what finds no register; one a thread.
 pub struct Machine<'a> {
     executable: &'a Executable,
-    pool: Vec<Vector>,
-    spills: Vec<Vector>,
+    pool: Vectors,
+    spills: Vectors,
 }
 
-/// Whether the machine has the instructions, and lets a process make code that it runs.
+/// Whether the machine lets a process make code that it runs.
 pub fn works() -> bool {
-    let has = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
-    has && MmapMut::map_anon(1).is_ok_and(|memory| memory.make_exec().is_ok())
+    MmapMut::map_anon(1).is_ok_and(|memory| memory.make_exec().is_ok())
+}
+
+impl Set {
+    /// Whether the machine has it.
+    pub fn is_here(self) -> bool {
+        match self {
+            Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            Self::Avx512 => {
+                is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq")
+            }
+        }
+    }
 }
 
 impl Executable {
-    /// Compiles what was recorded for frames of `width` lanes; `None` where the machine lacks AVX2
-    /// or FMA or forbids executable memory, or where the code would be too long.
-    pub fn new(recorder: Recorder, precision: Precision, width: usize) -> Option<Self> {
-        if !is_x86_feature_detected!("avx2") || !is_x86_feature_detected!("fma") {
+    /// Compiles what was recorded for frames of `width` lanes; `None` where the machine lacks the
+    /// instructions or forbids executable memory, or where the code would be too long.
+    pub fn new(recorder: Recorder, set: Set, precision: Precision, width: usize) -> Option<Self> {
+        if !set.is_here() {
             return None;
         }
         if recorder.ops.len() > MOST_OPERATIONS {
             return None;
         }
-        let lanes = VECTOR / precision.bytes();
+        let lanes = set.vector() / precision.bytes();
         let vectors = width / lanes;
         let copies = if vectors.is_multiple_of(2) { 2 } else { 1 };
         let (slots, parameters) = (recorder.slots(), recorder.parameters());
         let ops = recorder.finish(copies);
         let layout = Layout {
+            set,
             stride: width * precision.bytes(),
             copies,
             parameters,
@@ -73,24 +118,19 @@ impl Executable {
         let assembled = allocate::assemble(&ops, layout, precision);
         let mut memory = MmapMut::map_anon(assembled.bytes.len()).ok()?;
         memory.copy_from_slice(&assembled.bytes);
-        let splat = |bits: u64| {
-            let bits = match precision {
-                Precision::F32 => bits << 32 | bits,
-                Precision::F64 => bits,
-            };
-            Vector([bits; VECTOR / 8])
-        };
+        let mut pool = Vectors::new(parameters + assembled.pool.len(), set);
+        for (k, bits) in assembled.pool.iter().enumerate() {
+            pool.splat(parameters + k, *bits, precision);
+        }
         Some(Self {
             code: memory.make_exec().ok()?,
-            pool: (0..parameters)
-                .map(|_| splat(0))
-                .chain(assembled.pool.iter().map(|b| splat(*b)))
-                .collect(),
+            pool,
             parameters,
             spills: assembled.spills,
             slots,
             width,
             groups: vectors / copies as usize,
+            set,
             precision,
         })
     }
@@ -105,20 +145,17 @@ impl Executable {
             "parameters are missing"
         );
         let mut pool = self.pool.clone();
-        for (to, p) in pool.iter_mut().zip(&parameters[..self.parameters]) {
+        for (k, p) in parameters[..self.parameters].iter().enumerate() {
             let bits = match self.precision {
-                Precision::F32 => {
-                    let bits = u64::from(p.f32().to_bits());
-                    bits << 32 | bits
-                }
+                Precision::F32 => u64::from(p.f32().to_bits()),
                 Precision::F64 => p.f64().to_bits(),
             };
-            *to = Vector([bits; VECTOR / 8]);
+            pool.splat(k, bits, self.precision);
         }
         Machine {
             executable: self,
             pool,
-            spills: vec![Vector([0; VECTOR / 8]); self.spills],
+            spills: Vectors::new(self.spills, self.set),
         }
     }
 }
@@ -142,13 +179,13 @@ impl Machine<'_> {
         // as it was compiled for; the processor has the instructions (checked when it was
         // compiled).
         unsafe {
-            let code: extern "sysv64" fn(*mut Lanes<T, W>, *const Vector, usize, *mut Vector) =
+            let code: extern "sysv64" fn(*mut Lanes<T, W>, *const Line, usize, *mut Line) =
                 std::mem::transmute(e.code.as_ptr());
             code(
                 frame.as_mut_ptr(),
-                self.pool.as_ptr(),
+                self.pool.lines.as_ptr(),
                 e.groups,
-                self.spills.as_mut_ptr(),
+                self.spills.lines.as_mut_ptr(),
             );
         }
     }

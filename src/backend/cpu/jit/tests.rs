@@ -62,6 +62,21 @@ fn agree<T: Real>(
     precision: Precision,
     points: &[f64],
 ) -> Result<(), TestCaseError> {
+    for set in [Set::Avx2, Set::Avx512] {
+        // The encoder is also tested against an assembler, where the machine lacks a set.
+        if set.is_here() {
+            agree_of::<T>(set, program, precision, points)?;
+        }
+    }
+    Ok(())
+}
+
+fn agree_of<T: Real>(
+    set: Set,
+    program: &Program,
+    precision: Precision,
+    points: &[f64],
+) -> Result<(), TestCaseError> {
     let (inputs, outputs) = (program.inputs, program.outputs.len());
     let mut recorder = Recorder::new(precision, true);
     let loaded = recorder.loads(0..inputs);
@@ -69,7 +84,7 @@ fn agree<T: Real>(
     for (k, v) in values.iter().enumerate() {
         recorder.store(*v, inputs + k);
     }
-    let executable = Executable::new(recorder, precision, W);
+    let executable = Executable::new(recorder, set, precision, W);
     let executable = executable.ok_or_else(|| TestCaseError::fail("not compiled"))?;
     let mut frame = vec![Lanes::<T, W>::splat(T::of(0.0)); inputs + outputs];
     let at = |k: usize, i: usize| T::of(points[(k * W + i) % points.len()]);
@@ -88,7 +103,7 @@ fn agree<T: Real>(
                 || (got.f64().is_nan() && want.f64().is_nan());
             prop_assert!(
                 same,
-                "output {k}, lane {i}: {} for {}",
+                "{set:?}: output {k}, lane {i}: {} for {}",
                 got.f64(),
                 want.f64()
             );
@@ -100,7 +115,7 @@ fn agree<T: Real>(
 /// Whether code can be run that was compiled. Where it cannot the test fails, unless
 /// `COSTATE_WITHOUT_AVX2` says that the machine is known to lack AVX2.
 fn here() -> bool {
-    let here = super::works();
+    let here = super::works() && Set::Avx2.is_here();
     assert!(
         here || std::env::var_os("COSTATE_WITHOUT_AVX2").is_some(),
         "this test needs AVX2: set COSTATE_WITHOUT_AVX2=1 to leave it out on a machine without"
@@ -138,14 +153,16 @@ fn parameters_are_given_with_each_call() {
     if !here() {
         return;
     }
-    let mut recorder = Recorder::new(Precision::F64, true);
-    let (x, p) = (recorder.load(0), recorder.parameter(1));
-    let sum = recorder.mul_add(x, p, p);
-    recorder.store(sum, 1);
-    let executable = Executable::new(recorder, Precision::F64, W).expect("compiled");
-    let mut frame = vec![Lanes::<f64, W>::splat(3.0), Lanes::splat(0.0)];
-    for p in [2.0, -5.0] {
-        executable.machine(&[0.0, p]).run(&mut frame);
-        assert_eq!(frame[1].0, [4.0 * p; W]);
+    for set in [Set::Avx2, Set::Avx512].into_iter().filter(|s| s.is_here()) {
+        let mut recorder = Recorder::new(Precision::F64, true);
+        let (x, p) = (recorder.load(0), recorder.parameter(1));
+        let sum = recorder.mul_add(x, p, p);
+        recorder.store(sum, 1);
+        let executable = Executable::new(recorder, set, Precision::F64, W).expect("compiled");
+        let mut frame = vec![Lanes::<f64, W>::splat(3.0), Lanes::splat(0.0)];
+        for p in [2.0, -5.0] {
+            executable.machine(&[0.0, p]).run(&mut frame);
+            assert_eq!(frame[1].0, [4.0 * p; W]);
+        }
     }
 }
