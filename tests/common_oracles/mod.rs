@@ -115,13 +115,22 @@ impl Backend for Recorder {
 }
 
 impl Kernel for RecordingKernel {
-    fn integrate(&mut self, run: &Run, seeds: &[f64]) -> Result<Trajectories, BackendError> {
-        let result = self.kernel.integrate(run, seeds)?;
+    fn integrate_into(
+        &mut self,
+        run: &Run,
+        seeds: &[f64],
+        to: &mut Trajectories,
+    ) -> Result<(), BackendError> {
+        self.kernel.integrate_into(run, seeds, to)?;
         self.calls
             .lock()
             .expect("no test thread panics with the lock")
-            .push((seeds.to_vec(), result.clone()));
-        Ok(result)
+            .push((seeds.to_vec(), to.clone()));
+        Ok(())
+    }
+
+    fn fill(&self) -> usize {
+        self.kernel.fill()
     }
 }
 
@@ -169,20 +178,22 @@ impl Sweep {
             &plan,
             &backend,
             &mut |_, _| {},
-            &mut |b: TrajectoryBlock| -> Result<(), BackendError> {
+            &mut |b: &TrajectoryBlock| -> Result<(), BackendError> {
                 stored.count += b.count;
-                stored.t.extend(b.t);
-                stored.x.extend(b.x);
-                stored.p.extend(b.p);
-                stored.u.extend(b.u);
-                stored.w.extend(b.w);
-                stored.v.extend(b.v);
-                stored.h.extend(b.h);
-                stored.status.extend(b.status);
-                stored.sheet.extend(b.sheet);
-                stored.steps.extend(b.steps);
-                stored.rejected.extend(b.rejected);
-                stored.hamiltonian_drift.extend(b.hamiltonian_drift);
+                stored.t.extend_from_slice(&b.t);
+                stored.x.extend_from_slice(&b.x);
+                stored.p.extend_from_slice(&b.p);
+                stored.u.extend_from_slice(&b.u);
+                stored.w.extend_from_slice(&b.w);
+                stored.v.extend_from_slice(&b.v);
+                stored.h.extend_from_slice(&b.h);
+                stored.status.extend_from_slice(&b.status);
+                stored.sheet.extend_from_slice(&b.sheet);
+                stored.steps.extend_from_slice(&b.steps);
+                stored.rejected.extend_from_slice(&b.rejected);
+                stored
+                    .hamiltonian_drift
+                    .extend_from_slice(&b.hamiltonian_drift);
                 Ok(())
             },
         );

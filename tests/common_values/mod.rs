@@ -34,7 +34,7 @@ impl Swept {
             backend,
             &mut |_, _| {},
             &mut |seeds, batch| archive.keep(seeds, batch),
-            &mut |_| Ok(()),
+            None,
         )
         .expect("the backend works");
         Self {

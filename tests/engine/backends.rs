@@ -329,6 +329,10 @@ fn compiled_steps_compute_the_bits_of_interpreted_ones() {
         return;
     }
     let interpreting = Cpu::interpreting(widest).expect("the set was detected");
+    let compiling: Vec<Cpu> = (Simd::ALL.iter())
+        .filter_map(|simd| Cpu::compiling(*simd))
+        .collect();
+    assert!(!compiling.is_empty(), "nothing is compiled here");
     for problem in problems() {
         for method in Method::ALL.map(|(_, m)| m) {
             for (precision, store) in [
@@ -341,19 +345,20 @@ fn compiled_steps_compute_the_bits_of_interpreted_ones() {
                     ..problem.spec(method, precision, store)
                 };
                 let (run, seeds) = (problem.run(precision), problem.seeds(77));
-                let (a, b) = (
-                    integrate(&Cpu::new(), &spec, &run, &seeds),
-                    integrate(&interpreting, &spec, &run, &seeds),
-                );
-                let case = format!("{} {method:?} {precision:?} store {store}", problem.name);
-                assert_eq!(
-                    (&a.status, &a.steps, &a.rejected),
-                    (&b.status, &b.steps, &b.rejected),
-                    "{case}"
-                );
-                let bits = |v: &[f64]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
-                assert_eq!(bits(&a.end), bits(&b.end), "{case}: ends");
-                assert_eq!(bits(&a.samples), bits(&b.samples), "{case}: samples");
+                let b = integrate(&interpreting, &spec, &run, &seeds);
+                for compiling in &compiling {
+                    let a = integrate(compiling, &spec, &run, &seeds);
+                    let (name, on) = (problem.name, compiling.adapter());
+                    let case = format!("{name} {method:?} {precision:?} store {store} on {on}");
+                    assert_eq!(
+                        (&a.status, &a.steps, &a.rejected),
+                        (&b.status, &b.steps, &b.rejected),
+                        "{case}"
+                    );
+                    let bits = |v: &[f64]| v.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+                    assert_eq!(bits(&a.end), bits(&b.end), "{case}: ends");
+                    assert_eq!(bits(&a.samples), bits(&b.samples), "{case}: samples");
+                }
             }
         }
     }

@@ -38,6 +38,15 @@ pub enum Simd {
 }
 
 impl Simd {
+    /// All sets, whether this machine has them or not.
+    pub const ALL: &[Simd] = &[
+        Simd::Baseline,
+        #[cfg(target_arch = "x86_64")]
+        Simd::Avx2,
+        #[cfg(target_arch = "x86_64")]
+        Simd::Avx512,
+    ];
+
     /// The widest set this machine has.
     pub fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
