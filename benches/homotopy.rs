@@ -65,8 +65,7 @@ fn run(name: &str, model: &Model, request: &Request) {
     let mut archive = Archive::new(&plan);
     let keep =
         &mut |seeds: &[f64], batch: &costate::backend::Trajectories| archive.keep(seeds, batch);
-    sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, None)
-        .expect("the CPU works");
+    sweep_keeping::<BackendError>(&plan, &cpu, &mut |_, _| {}, keep, None).expect("the CPU works");
     let mut solver = value::solver(&plan, &cpu).expect("kernels");
     let answers = value::solve(
         &plan,

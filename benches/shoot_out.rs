@@ -2,16 +2,18 @@
 //! equal angles, integrated 4 time units backward, end states kept; error against f64 at the
 //! tightest tolerance by another method.
 //!
-//! `cargo bench --bench shoot_out -- [SEEDS] [cpu|gpu] [van_der_pol] [f32|f64] [few]` prints one
+//! `cargo bench --bench shoot_out -- [SEEDS] [cpu|gpu|sets] [van_der_pol] [f32|f64] [few]` prints one
 //! JSON line a setting: backend, precision, method, rtol, n, seconds (median, from seeds on the
 //! host to results on the host), kernel_seconds (of the median pass, by the device's clock, where
 //! it has one), traj_per_s, max_rel_err, median_rel_err.
 //!
 //! `van_der_pol` is the case that CuBIE publishes: x'' = (1 - x^2) x' - x over 20 time units, here
-//! from states spread over [-2, 2] x [-2, 2]. `few` leaves out settings that no table needs.
+//! from states spread over [-2, 2] x [-2, 2]. `few` leaves out settings that no table needs, and
+//! `sets` runs the CPU once for each set of instructions that it can compile for.
 
+use costate::backend::cpu::{Cpu, Simd};
 use costate::backend::gpu::{Gpu, Selection};
-use costate::backend::{Backend, By, Kernel, Run, Spec, Status, cpu::Cpu};
+use costate::backend::{Backend, By, Kernel, Run, Spec, Status};
 use costate::low_level::expr::{Graph, Kind};
 use costate::low_level::hamiltonian::{Hamiltonian, System};
 use costate::low_level::local::Riccati;
@@ -122,7 +124,11 @@ fn main() {
         precisely && (worth || !asked("few"))
     });
     let mut backends: Vec<Box<dyn Backend>> = Vec::new();
-    if asked("cpu") || !asked("gpu") {
+    if asked("sets") {
+        for cpu in Simd::ALL.iter().filter_map(|simd| Cpu::compiling(*simd)) {
+            backends.push(Box::new(cpu));
+        }
+    } else if asked("cpu") || !asked("gpu") {
         backends.push(Box::new(Cpu::new()));
     }
     if asked("gpu") {
@@ -154,8 +160,9 @@ fn main() {
             };
             let errors = errors(&end, reference, case.dim());
             println!(
-                "{{\"backend\": \"{}\", \"precision\": \"{}\", \"method\": \"{}\", \"setting\": \"{}\", \"n\": {count}, \"seconds\": {seconds:.6}, \"kernel_seconds\": {}, \"traj_per_s\": {:.0}, \"max_rel_err\": {:.2e}, \"median_rel_err\": {:.2e}}}",
+                "{{\"backend\": \"{}\", \"adapter\": \"{}\", \"precision\": \"{}\", \"method\": \"{}\", \"setting\": \"{}\", \"n\": {count}, \"seconds\": {seconds:.6}, \"kernel_seconds\": {}, \"traj_per_s\": {:.0}, \"max_rel_err\": {:.2e}, \"median_rel_err\": {:.2e}}}",
                 backend.name(),
+                backend.adapter(),
                 precision.name(),
                 method.name(),
                 if step > 0.0 {

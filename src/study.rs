@@ -10,7 +10,7 @@ use crate::scene::Scene;
 use crate::sweep::{Choices, Plan, PlanError};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::{self, Grid, PointStatus, StatesError};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Points of a trajectory that recorded quantities are taken from: what an extremum may be missed
 /// by is of the second order in their distance.
@@ -225,7 +225,7 @@ fn settling(plan: &Plan, s: &[f64]) -> Settling {
 /// The recorded quantities at the states and controls of a trajectory.
 fn recorded(model: &Model, records: &[Record], (x, u): (&[f64], &[f64])) -> Vec<f64> {
     let mut graph = model.graph.clone();
-    let numbers: HashMap<Id, Id> = (model.parameter_values().into_iter())
+    let numbers: FxHashMap<Id, Id> = (model.parameter_values().into_iter())
         .map(|(symbol, value)| (symbol, graph.constant(value)))
         .collect();
     let of: Vec<Id> = records.iter().map(|r| r.of.expr).collect();

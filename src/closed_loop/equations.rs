@@ -8,7 +8,7 @@ use crate::hamiltonian::{GuardExpr, Hamiltonian, deviations};
 use crate::model::{Extremum, Horizon, Method, Model, Precision, Record};
 use crate::program::Program;
 use nalgebra::DMatrix;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::ops::Range;
 
 /// Equations of a scene under a law, in deviations `s = x - reference` and forward time.
@@ -49,7 +49,7 @@ struct Closing<'c> {
     hamiltonian: &'c Hamiltonian,
     graph: Graph,
     /// What stands for parameters, states, adjoints and what is integrated for a forcing.
-    symbols: HashMap<Id, Deviation>,
+    symbols: FxHashMap<Id, Deviation>,
     /// Symbols of the integrated vector but for J.
     inputs: Vec<Id>,
     zero: Id,
@@ -104,8 +104,8 @@ impl<'c> Closing<'c> {
 
     /// What stands for controls under a law, and for disturbances under a motion; these are 0
     /// without one.
-    fn replacements(&self, law: &Law, motion: Option<&Motion>) -> HashMap<Id, Id> {
-        let mut replaced: HashMap<Id, Id> = (self.model.controls.iter().zip(&law.control))
+    fn replacements(&self, law: &Law, motion: Option<&Motion>) -> FxHashMap<Id, Id> {
+        let mut replaced: FxHashMap<Id, Id> = (self.model.controls.iter().zip(&law.control))
             .map(|(c, u)| (c.variable.symbol, *u))
             .collect();
         let disturbances = self.model.disturbances.iter().map(|w| w.symbol);
@@ -136,7 +136,7 @@ impl<'c> Closing<'c> {
     }
 
     /// Expressions of the integrated vector, in whole numbers (not as deviations).
-    fn closed(&mut self, roots: &[Id], replaced: &HashMap<Id, Id>) -> Vec<Id> {
+    fn closed(&mut self, roots: &[Id], replaced: &FxHashMap<Id, Id>) -> Vec<Id> {
         let closed = self.graph.substitute(roots, replaced);
         let forms = self.graph.deviations(&closed, &self.symbols);
         forms.into_iter().map(|f| self.graph.whole(f)).collect()

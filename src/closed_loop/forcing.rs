@@ -5,7 +5,7 @@ use crate::expr::{Fun, Graph, Id, Kind};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use nalgebra::DMatrix;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Sinusoids of a disturbance. The sum of so many with random phases is near a Gaussian process
 /// (Shinozuka & Deodatis, Applied Mechanics Reviews 44, 1991: the spectral representation).
@@ -88,7 +88,7 @@ impl Motion {
 fn supply(model: &Model, graph: &mut Graph) -> Id {
     let w: Vec<Id> = model.disturbances.iter().map(|w| w.symbol).collect();
     let zero = graph.constant(0.0);
-    let none: HashMap<Id, Id> = w.iter().map(|w| (*w, zero)).collect();
+    let none: FxHashMap<Id, Id> = w.iter().map(|w| (*w, zero)).collect();
     let half = graph.constant(0.5);
     let mut terms = Vec::new();
     for &a in &w {

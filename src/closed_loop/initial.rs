@@ -5,6 +5,7 @@ use crate::model::{ClosedLoop, Model, Start};
 use crate::numeric::random::uniform;
 use crate::value::{Grid, spaced};
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 /// Picks along each of the first two axes of a grid (and of random states in all) that are kept
 /// whole.
@@ -150,8 +151,7 @@ impl Initial {
         let n = self.states;
         // By cells around the first coordinate: few share one.
         let key = |x: f64| (x / (widths[0] * 1e-6)).floor() as i64;
-        let mut cells: std::collections::HashMap<i64, Vec<usize>> =
-            std::collections::HashMap::new();
+        let mut cells: FxHashMap<i64, Vec<usize>> = FxHashMap::default();
         for (k, x) in states.chunks_exact(n).enumerate() {
             cells.entry(key(x[0])).or_default().push(k);
         }

@@ -7,7 +7,7 @@ use crate::feedback::{self, NetworkError};
 use crate::hamiltonian::{Hamiltonian, clamped};
 use crate::local::{LocalError, Riccati, linear_law};
 use crate::model::{Formula, GivenLaw, Horizon, Model, Span};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::path::{Path, PathBuf};
 
 /// A commanded state is followed at this many times the fastest rate of the linear closed loop
@@ -289,7 +289,7 @@ impl<'s> Laws<'s> {
         // The scene is affine in its controls: the slope has no control in it.
         let gain = graph.diff(rate, symbols[control]);
         let zero = graph.constant(0.0);
-        let free = graph.substitute(&[rate], &HashMap::from([(symbols[control], zero)]))[0];
+        let free = graph.substitute(&[rate], &FxHashMap::from_iter([(symbols[control], zero)]))[0];
         Ok(Actuator {
             state: i,
             control,
@@ -308,7 +308,7 @@ impl<'s> Laws<'s> {
         given: &[Option<Id>],
         rate: f64,
     ) -> Id {
-        let symbols: HashMap<Id, Id> = (self.model.controls.iter().zip(given))
+        let symbols: FxHashMap<Id, Id> = (self.model.controls.iter().zip(given))
             .filter_map(|(c, expr)| Some((c.variable.symbol, (*expr)?)))
             .collect();
         let unknown: Vec<Id> = (self.model.controls.iter().zip(given))

@@ -7,7 +7,8 @@ use super::flights::Watch;
 use super::simulate::{Batch, Ground};
 use crate::backend::{BackendError, Course, Flown, Halt, Relay, Run, Status, Trajectories};
 use crate::model::Outside;
-use std::collections::{BTreeMap, HashMap};
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 
 /// A trajectory at the beginning of a leg.
 #[derive(Clone, Copy)]
@@ -256,7 +257,7 @@ impl Ground<'_> {
                 }
             }
         }
-        let place: HashMap<usize, usize> =
+        let place: FxHashMap<usize, usize> =
             seen.iter().enumerate().map(|(j, w)| (w.of, j)).collect();
         for (i, path) in &mut batch.kept {
             let Some(&j) = place.get(i) else { continue };

@@ -5,7 +5,7 @@
 //! second order in the spacing. Where a corner has no level the triangle of the other three is
 //! left; with two of them missing, nothing.
 
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// A polyline; a closed one ends where it begins.
 pub type Line = Vec<[f64; 2]>;
@@ -47,7 +47,7 @@ pub fn area(axes: [&[f64]; 2], levels: &[f64]) -> f64 {
 pub fn contour(axes: [&[f64]; 2], levels: &[f64]) -> Vec<Line> {
     // Each piece ends on two edges of triangles, an edge in at most two pieces.
     type Edge = (usize, usize);
-    let mut at: HashMap<Edge, [f64; 2]> = HashMap::new();
+    let mut at: FxHashMap<Edge, [f64; 2]> = FxHashMap::default();
     let mut pieces: Vec<[Edge; 2]> = Vec::new();
     triangles(axes, levels, &mut |corners| {
         let mut ends: Vec<Edge> = Vec::with_capacity(2);
@@ -63,7 +63,7 @@ pub fn contour(axes: [&[f64]; 2], levels: &[f64]) -> Vec<Line> {
             pieces.push([a, b]);
         }
     });
-    let mut of: HashMap<Edge, Vec<usize>> = HashMap::new();
+    let mut of: FxHashMap<Edge, Vec<usize>> = FxHashMap::default();
     for (k, piece) in pieces.iter().enumerate() {
         piece
             .iter()

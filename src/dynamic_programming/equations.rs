@@ -4,7 +4,7 @@ use crate::expr::{Deviation, Id, Kind};
 use crate::hamiltonian::{Hamiltonian, System};
 use crate::model::Model;
 use crate::program::Program;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Programs of one scene, in deviations `s = x - reference` and forward time.
 #[derive(Clone, Debug)]
@@ -27,7 +27,7 @@ impl Equations {
     pub fn new(model: &Model, hamiltonian: &Hamiltonian, system: &System) -> Self {
         let mut graph = hamiltonian.graph.clone();
         let zero = graph.constant(0.0);
-        let mut symbols: HashMap<Id, Deviation> = (model.parameter_values().into_iter())
+        let mut symbols: FxHashMap<Id, Deviation> = (model.parameter_values().into_iter())
             .map(|(symbol, at)| (symbol, Deviation::new(at, zero)))
             .collect();
         let mut inputs = Vec::new();

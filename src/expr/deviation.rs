@@ -8,7 +8,7 @@
 //! reference point cancels in the `c`s, once, in f64.
 
 use super::{Fun, Graph, Id, Node, Op};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// An expression as `at + change`: a number and an expression that vanishes with the deviations.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,8 +56,12 @@ impl Graph {
     ///
     /// # Panics
     /// When a symbol that a root depends on is not in `symbols`.
-    pub fn deviations(&mut self, roots: &[Id], symbols: &HashMap<Id, Deviation>) -> Vec<Deviation> {
-        let mut memo: HashMap<Id, Deviation> = HashMap::new();
+    pub fn deviations(
+        &mut self,
+        roots: &[Id],
+        symbols: &FxHashMap<Id, Deviation>,
+    ) -> Vec<Deviation> {
+        let mut memo: FxHashMap<Id, Deviation> = FxHashMap::default();
         for id in self.reachable(roots) {
             let zero = self.constant(0.0);
             let value = match self.node(id) {
@@ -97,7 +101,12 @@ impl Graph {
 
     /// A node from its whole operands, where `at + change` may cancel: of exponentials that are
     /// large at the reference point, and what is made of these.
-    fn direct(&mut self, node: Node, value: &Deviation, of: &HashMap<Id, Deviation>) -> Option<Id> {
+    fn direct(
+        &mut self,
+        node: Node,
+        value: &Deviation,
+        of: &FxHashMap<Id, Deviation>,
+    ) -> Option<Id> {
         let is_wide = |a: Id| of[&a].whole.is_some();
         if value.at == 0.0 {
             return None;
@@ -374,11 +383,15 @@ mod tests {
                 graph.symbol("s", Kind::State),
             );
             let root = make(&mut graph, x);
-            let form = graph.deviations(&[root], &HashMap::from([(x, Deviation::new(c, s))]))[0];
+            let form =
+                graph.deviations(&[root], &FxHashMap::from_iter([(x, Deviation::new(c, s))]))[0];
             let whole = graph.whole(form);
             for place in [-700.0, -30.0, -6.0, -1.0, -0.01, 0.3, 1.0, 5.0, 25.0, 70.0] {
                 let deviation = place - c;
-                let at = graph.eval(&[whole, form.change], &HashMap::from([(s, deviation)]));
+                let at = graph.eval(
+                    &[whole, form.change],
+                    &FxHashMap::from_iter([(s, deviation)]),
+                );
                 // As rounded.
                 let right = written(argument(c + deviation));
                 // What is not wide may be left with the rounding of the number at the reference
@@ -464,10 +477,11 @@ mod tests {
                 (Fun::Tanh, c.cosh().powi(-2)),
             ] {
                 let root = graph.unary(f, x);
-                let form =
-                    graph.deviations(&[root], &HashMap::from([(x, Deviation::new(c, s))]))[0];
+                let form = graph
+                    .deviations(&[root], &FxHashMap::from_iter([(x, Deviation::new(c, s))]))[0];
                 let small = 1e-9;
-                let change = graph.eval(&[form.change], &HashMap::from([(s, small)]))[0] / small;
+                let change =
+                    graph.eval(&[form.change], &FxHashMap::from_iter([(s, small)]))[0] / small;
                 let size = f.apply(c).abs().max(1e-18);
                 assert!(
                     (change - slope).abs() < 1e-8 * slope.abs().max(1e-8 * size),

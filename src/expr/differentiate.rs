@@ -1,7 +1,7 @@
 //! Symbolic derivatives.
 
 use super::{Fun, Graph, Id, Node, Op};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 impl Graph {
     /// Derivative of `expr` by `symbol`.
@@ -14,7 +14,7 @@ impl Graph {
 
     /// Derivatives of several expressions by one symbol, sharing the work.
     pub fn diff_all(&mut self, exprs: &[Id], symbol: Id) -> Vec<Id> {
-        let mut d: HashMap<Id, Id> = HashMap::new();
+        let mut d: FxHashMap<Id, Id> = FxHashMap::default();
         for id in self.reachable(exprs) {
             let value = self.diff_node(id, symbol, &d);
             d.insert(id, value);
@@ -22,7 +22,7 @@ impl Graph {
         exprs.iter().map(|e| d[e]).collect()
     }
 
-    fn diff_node(&mut self, id: Id, symbol: Id, d: &HashMap<Id, Id>) -> Id {
+    fn diff_node(&mut self, id: Id, symbol: Id, d: &FxHashMap<Id, Id>) -> Id {
         if id == symbol {
             return self.constant(1.0);
         }

@@ -2,14 +2,17 @@
 
 use super::{Fun, Graph, Id, Node, Op};
 use crate::numeric::{greatest, least};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
+
+/// Numbers for symbols.
+pub type Values = FxHashMap<Id, f64>;
 
 impl Graph {
     /// Values of `roots` with the symbols given by `values` (symbol node -> value).
     ///
     /// # Panics
     /// When a symbol that a root depends on has no value.
-    pub fn eval(&self, roots: &[Id], values: &HashMap<Id, f64>) -> Vec<f64> {
+    pub fn eval(&self, roots: &[Id], values: &Values) -> Vec<f64> {
         self.fold(
             roots,
             &mut |id| {
@@ -42,7 +45,7 @@ impl Graph {
         unary: &mut dyn FnMut(Fun, &T) -> T,
         binary: &mut dyn FnMut(Op, &T, &T) -> T,
     ) -> Vec<T> {
-        let mut value: HashMap<Id, T> = HashMap::new();
+        let mut value: FxHashMap<Id, T> = FxHashMap::default();
         for id in self.reachable(roots) {
             let v = match self.node(id) {
                 Node::Const(bits) => constant(f64::from_bits(bits)),

@@ -1,7 +1,7 @@
 //! The hash-consed expression graph and its simplifying constructors.
 
 use crate::numeric::{greatest, least};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Index of a node in its [`Graph`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -146,7 +146,7 @@ pub enum Node {
 #[derive(Clone, Debug, Default)]
 pub struct Graph {
     nodes: Vec<Node>,
-    index: HashMap<Node, Id>,
+    index: FxHashMap<Node, Id>,
     symbols: Vec<Symbol>,
 }
 
@@ -609,8 +609,8 @@ impl Graph {
     }
 
     /// Rebuilds `roots` with each key of `map` replaced by its value.
-    pub fn substitute(&mut self, roots: &[Id], map: &HashMap<Id, Id>) -> Vec<Id> {
-        let mut new: HashMap<Id, Id> = HashMap::new();
+    pub fn substitute(&mut self, roots: &[Id], map: &FxHashMap<Id, Id>) -> Vec<Id> {
+        let mut new: FxHashMap<Id, Id> = FxHashMap::default();
         for id in self.reachable(roots) {
             let value = match map.get(&id) {
                 Some(&v) => v,

@@ -22,6 +22,7 @@ mod polynomial;
 mod print;
 
 pub use deviation::Deviation;
+pub use evaluate::Values;
 pub use graph::{Fun, Graph, Id, Kind, Node, Op, Symbol};
 pub use polynomial::{NotPolynomial, Polynomial};
 pub use print::ShownTogether;

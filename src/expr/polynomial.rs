@@ -1,7 +1,8 @@
 //! Reading an expression as a polynomial in chosen symbols, with expressions as coefficients.
 
 use super::{Graph, Id, Node, Op};
-use std::collections::{BTreeMap, HashMap};
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 
 /// A polynomial: exponents of the chosen variables -> coefficient free of them. Zero coefficients
 /// are dropped.
@@ -28,7 +29,7 @@ impl Graph {
         variables: &[Id],
         max_degree: u8,
     ) -> Result<Polynomial, NotPolynomial> {
-        let mut memo: HashMap<Id, Polynomial> = HashMap::new();
+        let mut memo: FxHashMap<Id, Polynomial> = FxHashMap::default();
         for id in self.reachable(&[expr]) {
             let value = self.polynomial_node(id, variables, max_degree, &memo)?;
             memo.insert(id, value);
@@ -41,7 +42,7 @@ impl Graph {
         id: Id,
         variables: &[Id],
         max_degree: u8,
-        memo: &HashMap<Id, Polynomial>,
+        memo: &FxHashMap<Id, Polynomial>,
     ) -> Result<Polynomial, NotPolynomial> {
         if let Some(k) = variables.iter().position(|v| *v == id) {
             let mut exponents = vec![0; variables.len()];

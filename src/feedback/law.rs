@@ -7,7 +7,7 @@ use crate::expr::{Graph, Id};
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use nalgebra::DMatrix;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// What the output is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -264,7 +264,7 @@ impl ClosedForm {
 
     fn optimal(&mut self, model: &Model, hamiltonian: &Hamiltonian, value: Id) {
         let graph = &mut self.graph;
-        let numbers: HashMap<Id, Id> = (model.parameter_values().into_iter())
+        let numbers: FxHashMap<Id, Id> = (model.parameter_values().into_iter())
             .map(|(symbol, value)| (symbol, graph.constant(value)))
             .collect();
         let commands = graph.substitute(&hamiltonian.control, &numbers);

@@ -138,7 +138,7 @@ impl Network {
 mod tests {
     use super::*;
     use crate::expr::Kind;
-    use std::collections::HashMap;
+    use rustc_hash::FxHashMap;
 
     const PRINTED: &str = include_str!("../../scenarios/hardt_network.toml");
 
@@ -179,7 +179,7 @@ mod tests {
                 .collect();
             let outputs = net.expressions(&mut graph, &inputs);
             for x in [[1.2, 2.0, 0.0], [1.0, 1.6, 0.12], [-40.0, 300.0, 7.0]] {
-                let values: HashMap<_, _> = inputs.iter().copied().zip(x).collect();
+                let values: FxHashMap<_, _> = inputs.iter().copied().zip(x).collect();
                 let (by_graph, by_matrices) = (graph.eval(&outputs, &values)[0], net.eval(&x)[0]);
                 // Sums of ten terms of about 10, added in another order.
                 assert!(

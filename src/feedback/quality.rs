@@ -8,7 +8,7 @@ use crate::model::Model;
 use crate::numeric::quantile::nearest_rank as quantile;
 use crate::program::Program;
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Errors of one quantity over samples. Differences are in absolute value.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -167,7 +167,7 @@ impl Loss {
         let control = |name: &String| model.controls.iter().position(|c| c.variable.name == *name);
         let controls: Vec<usize> = form.outputs.iter().map(control).collect::<Option<_>>()?;
         let mut graph = h.graph.clone();
-        let mut known: HashMap<Id, Id> = (model.parameter_values().into_iter())
+        let mut known: FxHashMap<Id, Id> = (model.parameter_values().into_iter())
             .map(|(symbol, value)| (symbol, graph.constant(value)))
             .collect();
         let worst = graph.substitute(&h.disturbance, &known);

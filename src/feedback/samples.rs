@@ -9,7 +9,7 @@ use crate::sweep::spread_over;
 use crate::trajectories::{SolvedStates, SweptTrajectories};
 use crate::value::nearest::{MOST_DIMENSIONS, index};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Points of optimal trajectories.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -266,7 +266,7 @@ impl Samples {
         };
         let mut order: Vec<usize> = (0..self.len()).collect();
         order.sort_by_cached_key(|k| random(seed, *k as u64));
-        let mut taken: HashMap<Vec<u32>, usize> = HashMap::new();
+        let mut taken: FxHashMap<Vec<u32>, usize> = FxHashMap::default();
         let mut turns: Vec<(usize, usize)> = Vec::with_capacity(order.len());
         for (place, k) in order.iter().enumerate() {
             let turn = taken.entry(cell(*k)).or_default();
@@ -334,7 +334,7 @@ impl Samples {
         let count = trajectories.len() as f64;
         let share = |share: f64| ((share * count).round() as usize).max(1);
         let (validation, test) = (share(law.validation), share(law.test));
-        let set: HashMap<u32, usize> = (trajectories.into_iter().enumerate())
+        let set: FxHashMap<u32, usize> = (trajectories.into_iter().enumerate())
             .map(|(i, t)| {
                 (
                     t,

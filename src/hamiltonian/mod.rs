@@ -16,7 +16,7 @@ pub use system::{GuardExpr, Observer, System, Terminal, deviations};
 use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id, Kind};
 use crate::model::{Guard, Located, Model};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// The derived equations, in the scene's own symbols (parameters not yet replaced by their values).
 #[derive(Clone, Debug)]
@@ -104,7 +104,7 @@ impl Hamiltonian {
     /// The clamps are left out because the equilibrium control lies strictly between its bounds.
     pub fn hessian_at(&self, model: &Model) -> Vec<f64> {
         let mut graph = self.graph.clone();
-        let swap: HashMap<Id, Id> = model
+        let swap: FxHashMap<Id, Id> = model
             .controls
             .iter()
             .map(|c| c.variable.symbol)
@@ -129,7 +129,7 @@ impl Hamiltonian {
     }
 
     /// Values of parameters, states at the reference point and zero adjoints.
-    pub fn point(&self, model: &Model) -> HashMap<Id, f64> {
+    pub fn point(&self, model: &Model) -> FxHashMap<Id, f64> {
         let mut values = model.parameter_values();
         values.extend(
             self.x

@@ -4,7 +4,7 @@ use super::implied_guard;
 use crate::diagnostics::Problem;
 use crate::expr::{Graph, Id, NotPolynomial, Polynomial};
 use crate::model::{Control, Guard, Located, Model, Variable};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::ops::Range;
 
 /// Highest power of the inputs looked at: enough to name the offending term.
@@ -19,7 +19,7 @@ pub(super) struct Optimum {
 
 impl Optimum {
     /// Input symbol -> extremal expression.
-    pub fn replacements(&self, model: &Model) -> HashMap<Id, Id> {
+    pub fn replacements(&self, model: &Model) -> FxHashMap<Id, Id> {
         let controls = model
             .controls
             .iter()

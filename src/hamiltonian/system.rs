@@ -5,7 +5,7 @@ use super::Hamiltonian;
 use crate::expr::{Deviation, Graph, Id, Kind};
 use crate::model::{Guard, Horizon, Model};
 use crate::program::Program;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// The backward bicharacteristics of a scene.
 ///
@@ -79,7 +79,7 @@ impl Terminal {
         graph: &mut Graph,
         hamiltonian: &Hamiltonian,
         model: &Model,
-        symbols: &HashMap<Id, Deviation>,
+        symbols: &FxHashMap<Id, Deviation>,
     ) -> Option<Self> {
         let Horizon::Finite {
             terminal,
@@ -106,7 +106,7 @@ fn inputs(
     graph: &mut Graph,
     hamiltonian: &Hamiltonian,
     model: &Model,
-) -> (Vec<Id>, HashMap<Id, Deviation>) {
+) -> (Vec<Id>, FxHashMap<Id, Deviation>) {
     let (mut inputs, mut symbols) = deviations(graph, model);
     for &p in &hamiltonian.p {
         symbols.insert(p, Deviation::new(0.0, p));
@@ -116,8 +116,8 @@ fn inputs(
 }
 
 /// Symbols of the deviations of the states, and what stands for the scene's states and parameters.
-pub fn deviations(graph: &mut Graph, model: &Model) -> (Vec<Id>, HashMap<Id, Deviation>) {
-    let mut symbols: HashMap<Id, Deviation> = HashMap::new();
+pub fn deviations(graph: &mut Graph, model: &Model) -> (Vec<Id>, FxHashMap<Id, Deviation>) {
+    let mut symbols: FxHashMap<Id, Deviation> = FxHashMap::default();
     let zero = graph.constant(0.0);
     for (symbol, value) in model.parameter_values() {
         symbols.insert(symbol, Deviation::new(value, zero));

@@ -8,7 +8,7 @@
 use super::Riccati;
 use crate::expr::{Fun, Graph, Id, Kind, Op};
 use nalgebra::{DMatrix, DVector};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Monomials of up to a degree in some variables, and which products they form.
 #[derive(Clone, Debug)]
@@ -32,7 +32,7 @@ impl Basis {
             homogeneous(variables, k, &mut Vec::new(), &mut exponents);
             start.push(exponents.len());
         }
-        let index: HashMap<&Vec<u8>, usize> =
+        let index: FxHashMap<&Vec<u8>, usize> =
             exponents.iter().enumerate().map(|(i, e)| (e, i)).collect();
         let mut products = Vec::new();
         for (i, a) in exponents.iter().enumerate() {
@@ -111,7 +111,7 @@ impl Basis {
 
     /// Gradient by each variable.
     pub fn gradient(&self, p: &[f64]) -> Vec<Vec<f64>> {
-        let index: HashMap<&Vec<u8>, usize> = self
+        let index: FxHashMap<&Vec<u8>, usize> = self
             .exponents
             .iter()
             .enumerate()
@@ -166,7 +166,7 @@ fn taylor(f: Fun, c: f64, degree: usize) -> Vec<f64> {
     let mut g = Graph::new();
     let x = g.symbol("x", Kind::State);
     let mut derivative = g.unary(f, x);
-    let values = HashMap::from([(x, c)]);
+    let values = FxHashMap::from_iter([(x, c)]);
     let mut coefficients = Vec::new();
     let mut factorial = 1.0;
     for k in 0..=degree {
@@ -192,7 +192,7 @@ pub struct Equation<'a> {
 
 impl Equation<'_> {
     /// Series of H where each input is given as a series.
-    fn series(&self, basis: &Basis, inputs: &HashMap<Id, Vec<f64>>) -> Vec<f64> {
+    fn series(&self, basis: &Basis, inputs: &FxHashMap<Id, Vec<f64>>) -> Vec<f64> {
         let result = self.graph.fold(
             &[self.hamiltonian],
             &mut |id| inputs[&id].clone(),
@@ -234,7 +234,7 @@ impl Equation<'_> {
         let rate = &inverse * &riccati.closed_loop * t;
         for k in 3..=basis.degree {
             let q = basis.gradient(&v);
-            let mut inputs = HashMap::new();
+            let mut inputs = FxHashMap::default();
             for i in 0..n {
                 let mut s = basis.zero();
                 let mut p = basis.zero();
@@ -282,7 +282,7 @@ fn rounded_identity(m: DMatrix<f64>) -> DMatrix<f64> {
 fn drift_operator(basis: &Basis, k: usize, rate: &DMatrix<f64>) -> DMatrix<f64> {
     let range = basis.start[k]..basis.start[k + 1];
     let size = range.len();
-    let index: HashMap<&Vec<u8>, usize> = basis.exponents[range.clone()]
+    let index: FxHashMap<&Vec<u8>, usize> = basis.exponents[range.clone()]
         .iter()
         .enumerate()
         .map(|(i, e)| (e, i))

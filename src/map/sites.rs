@@ -8,7 +8,7 @@ use crate::model::{Horizon, Model, SeedValue};
 use crate::sweep::{Choices, Plan, Sampling, sweep};
 use crate::trajectories::StatedErrors;
 use crate::value::Grid;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// No sheet number is known.
 pub(super) const UNLABELLED: i32 = -1;
@@ -44,9 +44,9 @@ pub(super) struct Sites {
     pub sheet: Vec<i32>,
     pub source: Vec<Source>,
     /// Row-major Hessian where it is known, of local sites.
-    pub hessian: HashMap<usize, Vec<f64>>,
+    pub hessian: FxHashMap<usize, Vec<f64>>,
     /// Of those that were interpolated.
-    pub errors: HashMap<usize, StatedErrors>,
+    pub errors: FxHashMap<usize, StatedErrors>,
 }
 
 impl Sites {
@@ -112,7 +112,7 @@ impl Sites {
             return self;
         }
         let kept: Vec<usize> = (0..self.len()).filter(|k| !dropped[*k]).collect();
-        fn moved<T: Clone>(all: &HashMap<usize, T>, kept: &[usize]) -> HashMap<usize, T> {
+        fn moved<T: Clone>(all: &FxHashMap<usize, T>, kept: &[usize]) -> FxHashMap<usize, T> {
             let each = kept.iter().enumerate();
             each.filter_map(|(new, old)| Some((new, all.get(old)?.clone())))
                 .collect()
@@ -178,7 +178,7 @@ struct Gathering<'p> {
     plan: &'p Plan,
     sites: Sites,
     spacing: f64,
-    cells: HashMap<(i32, Vec<i64>), Vec<usize>>,
+    cells: FxHashMap<(i32, Vec<i64>), Vec<usize>>,
 }
 
 impl<'p> Gathering<'p> {
@@ -190,7 +190,7 @@ impl<'p> Gathering<'p> {
                 ..Sites::default()
             },
             spacing: 0.5 * plan.shoot_out.spacing.min(COARSEST),
-            cells: HashMap::new(),
+            cells: FxHashMap::default(),
         }
     }
 

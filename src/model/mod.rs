@@ -8,7 +8,7 @@ pub use feedback::{Activation, Base, Feedback, LawOutput, Target};
 pub use turns::{MOST_TURNS, TooManyTurns};
 
 use crate::diagnostics::{Problem, ScenarioErrors};
-use crate::expr::{Graph, Id};
+use crate::expr::{Graph, Id, Values};
 
 pub use crate::diagnostics::Span;
 
@@ -540,7 +540,7 @@ impl Model {
     }
 
     /// Value of every parameter symbol.
-    pub fn parameter_values(&self) -> std::collections::HashMap<Id, f64> {
+    pub fn parameter_values(&self) -> Values {
         self.parameters
             .iter()
             .map(|p| (p.symbol, p.value))

@@ -2,7 +2,7 @@
 
 use super::{Instr, Primitive, Program, Value};
 use crate::expr::{Fun, Graph, Id, Node, Op};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 #[derive(PartialEq, Eq, Hash)]
 struct Key(u8, u64, Value, Value);
@@ -10,7 +10,7 @@ struct Key(u8, u64, Value, Value);
 /// Emits instructions, each distinct one once.
 struct Builder {
     code: Vec<Instr>,
-    known: HashMap<Key, Value>,
+    known: FxHashMap<Key, Value>,
 }
 
 impl Builder {
@@ -148,9 +148,9 @@ impl Builder {
 pub(super) fn lower(graph: &Graph, inputs: &[Id], outputs: &[Id]) -> Program {
     let mut b = Builder {
         code: Vec::new(),
-        known: HashMap::new(),
+        known: FxHashMap::default(),
     };
-    let mut value: HashMap<Id, Value> = HashMap::new();
+    let mut value: FxHashMap<Id, Value> = FxHashMap::default();
     for (i, symbol) in inputs.iter().enumerate() {
         value.insert(*symbol, b.emit(Instr::Input(i as u32)));
     }

@@ -11,7 +11,7 @@ use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::expr::{Fun, Id};
 use crate::model::Span;
-use std::collections::HashSet;
+use rustc_hash::FxHashSet;
 use std::ops::Range;
 
 /// Most problems reported for one expression.
@@ -102,7 +102,7 @@ struct Walk<'r, 'a, 'o> {
     reader: &'r mut Reader<'a>,
     origin: &'o Origin,
     purpose: &'o Use<'o>,
-    reported: HashSet<String>,
+    reported: FxHashSet<String>,
     broken: bool,
     kinds: Kinds,
 }
@@ -132,7 +132,7 @@ impl Reader<'_> {
         origin: &Origin,
         purpose: &Use<'_>,
     ) -> Option<(Vec<Id>, Kinds)> {
-        let reported = HashSet::new();
+        let reported = FxHashSet::default();
         let mut walk = Walk {
             reader: self,
             origin,

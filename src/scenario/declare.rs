@@ -12,7 +12,7 @@ use crate::diagnostics::shorten;
 use crate::expr::{Id, Kind};
 use crate::model::{Control, Parameter, Span, State, Variable};
 use crate::numeric::digits::plain;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// A declared name with its value in the file.
 #[derive(Clone, Debug)]
@@ -129,7 +129,7 @@ impl<'a> Reader<'a> {
         declared: &[Declared<'a>],
         overrides: &[(String, Given)],
     ) -> Vec<Parameter> {
-        let mut replaced: HashMap<&str, &Given> = HashMap::new();
+        let mut replaced: FxHashMap<&str, &Given> = FxHashMap::default();
         for (name, value) in overrides {
             if declared.iter().any(|d| d.name == name) {
                 replaced.insert(name, value);

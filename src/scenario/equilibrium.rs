@@ -8,7 +8,7 @@ use crate::expr::{Fun, Graph, Id, Op};
 use crate::model::{Control, Guard, Located, Span, Variable};
 use crate::numeric::digits::plain;
 use nalgebra::{DMatrix, DVector};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// What may remain of f and L at the equilibrium, relative to the size of the terms they are made
 /// of, there and over the region: so states of any size are checked alike. Parameters are typed
@@ -197,7 +197,7 @@ impl<'a> Reader<'a> {
 
     /// Largest size of an expression's terms at some points of the region, the other values as
     /// given; 1 where the region is not known.
-    fn size_over(&self, expr: Id, values: &HashMap<Id, f64>, scene: &Scene<'_>) -> f64 {
+    fn size_over(&self, expr: Id, values: &FxHashMap<Id, f64>, scene: &Scene<'_>) -> f64 {
         let Some(region) = scene.region else {
             return 1.0;
         };
@@ -218,7 +218,7 @@ impl<'a> Reader<'a> {
         &self,
         at: &Equilibrium,
         scene: &Scene<'_>,
-        values: &HashMap<Id, f64>,
+        values: &FxHashMap<Id, f64>,
     ) -> Option<String> {
         let states = scene.states.iter().map(|s| (s.symbol, s.name.as_str()));
         let controls = scene.controls.iter();
@@ -264,7 +264,7 @@ impl<'a> Reader<'a> {
         unknowns: &[Id],
         given: &[f64],
         widths: &[f64],
-        values: &HashMap<Id, f64>,
+        values: &FxHashMap<Id, f64>,
     ) -> Option<Vec<f64>> {
         /// Further away than this share of the width it is another one.
         const NEAR: f64 = 0.05;
@@ -414,7 +414,7 @@ pub(super) fn is_zero(value: f64, size: f64) -> bool {
 }
 
 /// Value of an expression and the size of the terms that may have cancelled in it.
-pub(super) fn sized(graph: &Graph, expr: Id, values: &HashMap<Id, f64>) -> (f64, f64) {
+pub(super) fn sized(graph: &Graph, expr: Id, values: &FxHashMap<Id, f64>) -> (f64, f64) {
     // A step small enough for the slope, large enough against rounding: near the square root of
     // f64's epsilon.
     const STEP: f64 = 1e-8;

@@ -6,7 +6,7 @@ use crate::diagnostics::Problem;
 use crate::expr::Id;
 use crate::model::State;
 use crate::numeric::digits::plain;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Periods in the region's width, at most: a state is looked for a few periods away, never a
 /// thousand.
@@ -85,7 +85,7 @@ impl Reader<'_> {
             here.extend(inputs);
             here.extend(scene.disturbances.iter().map(|w| (w.symbol, 0.1)));
             let at = here.get(&state.variable.symbol).copied()?;
-            let mut later: HashMap<Id, f64> = here.clone();
+            let mut later: FxHashMap<Id, f64> = here.clone();
             later.insert(state.variable.symbol, at + period);
             for (what, expr) in all {
                 let (a, size) = sized(&self.graph, *expr, &here);

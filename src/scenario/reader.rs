@@ -13,7 +13,7 @@ use crate::diagnostics::unprintable;
 use crate::expr::{Graph, Id};
 use crate::model::Span;
 use crate::numeric::digits::plain;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -62,7 +62,7 @@ pub(super) struct Reader<'a> {
     pub graph: Graph,
     pub scope: Scope,
     /// Values of the parameters.
-    pub values: HashMap<Id, f64>,
+    pub values: FxHashMap<Id, f64>,
     pub problems: Vec<Problem>,
 }
 
@@ -73,7 +73,7 @@ impl<'a> Reader<'a> {
             text,
             graph,
             scope,
-            values: HashMap::new(),
+            values: FxHashMap::default(),
             problems: Vec::new(),
         }
     }

@@ -20,7 +20,7 @@ use crate::model::{
     Located, MapAim, MapGrid, Model, Report, Sheets, ShootOut, State, Study, Variable,
 };
 use crate::schema;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::path::Path;
 use toml::de::{DeTable, DeValue};
 
@@ -38,7 +38,7 @@ const EXPRESSIONS: [&str; 6] = [
 const BEGINNING: &str = "the states, such as states = { x = {} }. A scene also needs controls = { u = {} }, dynamics = { x = \"-x + u\" }, \
     cost = { running = \"x^2 + u^2\" }, equilibrium = { x = 0, u = 0 } and region = { x = [-1, 1] }; all sections: docs/scene.md, or `costate reference scene`";
 
-pub(super) type Sections<'a> = HashMap<&'static str, Section<'a>>;
+pub(super) type Sections<'a> = FxHashMap<&'static str, Section<'a>>;
 
 /// The problem that a scene poses, as far as it could be read: what is `None` has been reported, or
 /// its section is missing.
@@ -155,7 +155,7 @@ impl<'a> Reader<'a> {
 
     /// The sections of the file, and the title.
     fn sections(&mut self, root: &'a DeTable<'a>) -> (Sections<'a>, Option<String>) {
-        let mut sections = Sections::new();
+        let mut sections = Sections::default();
         let mut title = None;
         for (key, value) in root.iter() {
             let (name, span) = (key.get_ref().as_ref(), key.span());

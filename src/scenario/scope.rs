@@ -2,7 +2,7 @@
 
 use crate::expr::{Fun, Id};
 use crate::model::Span;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// A set of the kinds of symbols an expression depends on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -98,7 +98,7 @@ pub(super) struct Entry {
 /// All declared names.
 #[derive(Debug, Default)]
 pub(super) struct Scope {
-    entries: HashMap<String, Entry>,
+    entries: FxHashMap<String, Entry>,
     order: Vec<String>,
 }
 

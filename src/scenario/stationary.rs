@@ -6,7 +6,7 @@ use super::reader::Reader;
 use crate::diagnostics::Problem;
 use crate::expr::{Fun, Graph, Id, Kind, Node};
 use crate::model::Located;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Longest text of an expression that is shown, in leaves of its tree.
 const SHOWN: f64 = 40.0;
@@ -15,7 +15,7 @@ impl Reader<'_> {
     /// Checks dL/dx = 0 at the equilibrium (the characteristics rest at (x*, 0) only there; dL/du =
     /// 0 is checked with the extremal controls) and that nothing the linearization is made of jumps
     /// there. `values` are those of all symbols at the equilibrium.
-    pub fn check_smooth_rest(&mut self, values: &HashMap<Id, f64>, scene: &Scene<'_>) {
+    pub fn check_smooth_rest(&mut self, values: &FxHashMap<Id, f64>, scene: &Scene<'_>) {
         // Derivatives are looked at in a graph of their own: that of the model stays as it is.
         let mut graph = self.graph.clone();
         let before = self.problems.len();
@@ -47,7 +47,7 @@ impl Reader<'_> {
         }
     }
 
-    fn check_kinks(&mut self, graph: &mut Graph, places: &[HashMap<Id, f64>], scene: &Scene<'_>) {
+    fn check_kinks(&mut self, graph: &mut Graph, places: &[FxHashMap<Id, f64>], scene: &Scene<'_>) {
         let inputs: Vec<Id> = (scene.states.iter().map(|s| s.symbol))
             .chain(scene.controls.iter().map(|c| c.variable.symbol))
             .chain(scene.disturbances.iter().map(|w| w.symbol))
@@ -73,7 +73,7 @@ impl Reader<'_> {
 }
 
 /// The equilibrium, and points of the region with everything else as there.
-fn places(values: &HashMap<Id, f64>, scene: &Scene<'_>) -> Vec<HashMap<Id, f64>> {
+fn places(values: &FxHashMap<Id, f64>, scene: &Scene<'_>) -> Vec<FxHashMap<Id, f64>> {
     let over = (0..POINTS)
         .filter_map(|k| Some((k, scene.region?)))
         .map(|(k, region)| {
@@ -85,7 +85,7 @@ fn places(values: &HashMap<Id, f64>, scene: &Scene<'_>) -> Vec<HashMap<Id, f64>>
 }
 
 /// Value at the first place, and the largest size of its terms at any.
-fn at_all(graph: &Graph, expr: Id, places: &[HashMap<Id, f64>]) -> (f64, f64) {
+fn at_all(graph: &Graph, expr: Id, places: &[FxHashMap<Id, f64>]) -> (f64, f64) {
     let (value, size) = sized(graph, expr, &places[0]);
     let sizes = places[1..]
         .iter()
@@ -102,7 +102,7 @@ fn kink(
     located: &Located,
     order: usize,
     inputs: &[Id],
-    places: &[HashMap<Id, f64>],
+    places: &[FxHashMap<Id, f64>],
 ) -> Option<String> {
     let mut places = places.to_vec();
     let (expr, kinks) = with_signs(graph, located.expr, &mut places);
@@ -143,7 +143,7 @@ fn kink(
 fn with_signs(
     graph: &mut Graph,
     expr: Id,
-    places: &mut [HashMap<Id, f64>],
+    places: &mut [FxHashMap<Id, f64>],
 ) -> (Id, Vec<(Id, String)>) {
     let (mut expr, mut kinks) = (expr, Vec::new());
     loop {
@@ -167,7 +167,7 @@ fn with_signs(
             at.insert(sign, 1.0);
         }
         let side = graph.mul(sign, argument);
-        expr = graph.substitute(&[expr], &HashMap::from([(id, side)]))[0];
+        expr = graph.substitute(&[expr], &FxHashMap::from_iter([(id, side)]))[0];
         kinks.push((sign, text));
     }
 }

@@ -10,7 +10,7 @@ use crate::diagnostics::nearest;
 use crate::expr::{Fun, Graph, Id, Kind, Node, Op};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use toml::de::DeTable;
 
 /// A reader in which x, y and z are states.
@@ -50,7 +50,7 @@ fn build(reader: &mut Reader<'_>, text: &str) -> Option<Id> {
 fn value(text: &str) -> f64 {
     let (mut reader, symbols) = reader();
     let expr = build(&mut reader, text).unwrap_or_else(|| panic!("{text}: {:?}", reader.problems));
-    let values: HashMap<Id, f64> = symbols.into_iter().zip([2.0, 3.0, 5.0]).collect();
+    let values: FxHashMap<Id, f64> = symbols.into_iter().zip([2.0, 3.0, 5.0]).collect();
     reader.graph.eval(&[expr], &values)[0]
 }
 
@@ -267,7 +267,7 @@ fn agree(a: f64, b: f64, size: f64) -> bool {
 }
 
 /// Value of an expression and the largest size of the terms in any part of it.
-fn value_and_size(graph: &Graph, root: Id, values: &HashMap<Id, f64>) -> (f64, f64) {
+fn value_and_size(graph: &Graph, root: Id, values: &FxHashMap<Id, f64>) -> (f64, f64) {
     let sizes = graph
         .reachable(&[root])
         .into_iter()
@@ -324,7 +324,7 @@ proptest! {
         let second = build(&mut reader, &text);
         prop_assert!(second.is_some(), "{text}: {:?}", reader.problems);
         for point in points {
-            let values: HashMap<Id, f64> = symbols.iter().copied().zip(point).collect();
+            let values: FxHashMap<Id, f64> = symbols.iter().copied().zip(point).collect();
             let (a, size) = value_and_size(&reader.graph, first, &values);
             let b = sized(&reader.graph, second.unwrap_or(first), &values).0;
             prop_assert!(agree(a, b, size), "{text} is {a}, parsed again {b}");
@@ -344,7 +344,7 @@ proptest! {
             return Ok(());
         };
         for point in points {
-            let values: HashMap<Id, f64> = symbols.iter().copied().zip(point).collect();
+            let values: FxHashMap<Id, f64> = symbols.iter().copied().zip(point).collect();
             let a = reader.graph.eval(&[expr], &values)[0];
             let (b, error) = direct(&shape, &point);
             prop_assert!(error.is_nan() || (a - b).abs() <= error, "{text} is {b} within {error}, not {a}");

@@ -5,7 +5,7 @@ use crate::expr::{Graph, Id, Kind};
 use crate::hamiltonian::System;
 use crate::model::{Method, Precision};
 use crate::program::Program;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Absolute tolerance of what the step control is to leave alone.
 const UNCONTROLLED: f64 = 1e30;
@@ -49,7 +49,7 @@ impl Equations {
         let units: Vec<Id> = (0..2 * n)
             .map(|i| graph.symbol(&format!("segment component {i}"), Kind::State))
             .collect();
-        let replaced: HashMap<Id, Id> = (system.inputs.iter().zip(&units))
+        let replaced: FxHashMap<Id, Id> = (system.inputs.iter().zip(&units))
             .map(|(z, y)| (*z, graph.mul(size, *y)))
             .collect();
         // By column, then transposed.

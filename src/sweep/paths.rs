@@ -5,7 +5,7 @@
 //! more, and each is looked at once for every neighbour it gets.
 
 use super::gaps::BLOCK;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::fs::File;
 use std::io;
 use std::sync::{Mutex, PoisonError};
@@ -28,7 +28,7 @@ pub(super) struct Paths {
 struct Beyond {
     file: Option<File>,
     /// Rows that could not be written to it.
-    unwritten: Mutex<HashMap<u32, Vec<f32>>>,
+    unwritten: Mutex<FxHashMap<u32, Vec<f32>>>,
     /// Why a row could not be read again.
     failure: Mutex<Option<io::Error>>,
 }

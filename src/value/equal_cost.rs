@@ -5,7 +5,8 @@ use super::extremal::same;
 use super::survey::{Survey, Wanted};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
-use std::collections::{BTreeMap, HashMap};
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 
 /// Largest difference of V, relative to V, at a located point.
 pub const EQUAL: f64 = 1e-9;
@@ -243,7 +244,7 @@ impl Survey<'_> {
     /// Joins the points of cells to polylines: two points on a cell's sides with the same pair of
     /// sheets are neighbours.
     fn lines(&self, points: &mut [BoundaryPoint]) {
-        let on_edge: HashMap<(usize, usize), usize> = points
+        let on_edge: FxHashMap<(usize, usize), usize> = points
             .iter()
             .enumerate()
             .map(|(k, p)| (p.between, k))

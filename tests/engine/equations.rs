@@ -1,8 +1,8 @@
 //! Equations as text: parts that are used more than once have names where the text would be long.
 
 use costate::Scene;
+use costate::low_level::expr::Values;
 use costate::session::Equations;
-use std::collections::HashMap;
 
 /// Definitions of the two before each: written out, the text doubles with every one.
 fn nested(count: usize, first: &str) -> String {
@@ -50,7 +50,7 @@ fn rate(scene: &Scene, [x, v, u]: [f64; 3]) -> f64 {
     let model = &scene.model;
     let symbols = model.states.iter().map(|s| s.variable.symbol);
     let symbols = symbols.chain(model.controls.iter().map(|c| c.variable.symbol));
-    let values: HashMap<_, _> = symbols.zip([x, v, u]).collect();
+    let values: Values = symbols.zip([x, v, u]).collect();
     model.graph.eval(&[model.dynamics[1].expr], &values)[0]
 }
 

@@ -5,7 +5,6 @@ use costate::Scene;
 use costate::low_level::expr::Id;
 use costate::low_level::model::{Horizon, Model};
 use costate::low_level::scenario::load;
-use std::collections::HashMap;
 use std::path::Path;
 
 fn scene(name: &str, set: &[(&str, &str)]) -> Model {
@@ -19,7 +18,7 @@ fn scene(name: &str, set: &[(&str, &str)]) -> Model {
 
 /// (f, L) at a state and control.
 fn equations(model: &Model, x: &[f64], u: &[f64]) -> (Vec<f64>, f64) {
-    let mut values: HashMap<Id, f64> = model.parameter_values();
+    let mut values = model.parameter_values();
     values.extend(
         model
             .states

@@ -1,11 +1,10 @@
 //! The optimal motion between stored samples.
 
-use costate::low_level::expr::Id;
+use costate::low_level::expr::{Id, Values};
 use costate::low_level::hamiltonian::Hamiltonian;
 use costate::low_level::model::Model;
 use costate::low_level::numeric::hermite::hermite;
 use costate::low_level::trajectories::SweptTrajectories;
-use std::collections::HashMap;
 
 /// Points between two samples.
 const BETWEEN: usize = 8;
@@ -13,7 +12,7 @@ const BETWEEN: usize = 8;
 /// Evaluates the equations of a scene at samples.
 pub struct Flow<'s> {
     hamiltonian: &'s Hamiltonian,
-    values: HashMap<Id, f64>,
+    values: Values,
     roots: Vec<Id>,
 }
 

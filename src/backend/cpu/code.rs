@@ -7,7 +7,7 @@
 use super::arithmetic::{Arithmetic, Comparison, DOUBLE, Format, SINGLE};
 use crate::model::Precision;
 use crate::program::Primitive;
-use std::collections::{HashMap, HashSet};
+use rustc_hash::{FxHashMap, FxHashSet};
 
 /// A value: the index of the operation that makes it.
 pub type Value = u32;
@@ -98,8 +98,8 @@ impl Op {
 pub struct Recorder {
     format: &'static Format,
     pub ops: Vec<Op>,
-    known: HashMap<Op, Value>,
-    stored: HashSet<u32>,
+    known: FxHashMap<Op, Value>,
+    stored: FxHashSet<u32>,
     /// Whether elementary functions become arithmetic.
     expand: bool,
 }
@@ -115,8 +115,8 @@ impl Recorder {
                 Precision::F64 => &DOUBLE,
             },
             ops: Vec::new(),
-            known: HashMap::new(),
-            stored: HashSet::new(),
+            known: FxHashMap::default(),
+            stored: FxHashSet::default(),
         }
     }
 

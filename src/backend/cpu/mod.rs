@@ -22,7 +22,7 @@ use crate::integrator::Scheme;
 use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
@@ -192,7 +192,7 @@ impl Backend for Cpu {
         Ok(Box::new(CpuKernel {
             spec: spec.clone(),
             backend: self.clone(),
-            compiled: HashMap::new(),
+            compiled: FxHashMap::default(),
             seconds: None,
         }))
     }
@@ -206,7 +206,7 @@ struct CpuKernel {
     spec: Spec,
     backend: Cpu,
     /// Code by lanes, order and variant, made when first needed.
-    compiled: HashMap<(usize, usize, Variant), Compiled>,
+    compiled: FxHashMap<(usize, usize, Variant), Compiled>,
     /// Of the latest batch, on the lanes.
     seconds: Option<f64>,
 }

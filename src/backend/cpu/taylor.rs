@@ -6,7 +6,7 @@
 use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
 use crate::program::{Instr, Primitive, Program};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Orders looked at to see on which side of a kink a step begins.
 const HINT: usize = 2;
@@ -19,10 +19,15 @@ pub fn solution(r: &mut Recorder, rate: &Program, y: &[Value], order: usize) -> 
     let sides = if has_kinks(rate) && order > HINT {
         // Where the step begins on a kink, the coefficients that follow tell on which side it goes
         // on: those of a solution for which it is on neither.
-        let first = follow(Nodes::new(r, rate, HINT, HashMap::new()), rate, y, HINT);
+        let first = follow(
+            Nodes::new(r, rate, HINT, FxHashMap::default()),
+            rate,
+            y,
+            HINT,
+        );
         sides(r, rate, |k, n| first[k][n])
     } else {
-        HashMap::new()
+        FxHashMap::default()
     };
     follow(Nodes::new(r, rate, order, sides), rate, y, order)
 }
@@ -62,13 +67,13 @@ fn sides(
     r: &mut Recorder,
     program: &Program,
     input: impl Fn(usize, usize) -> Option<Value>,
-) -> HashMap<usize, Value> {
-    let mut nodes = Nodes::new(r, program, HINT, HashMap::new());
+) -> FxHashMap<usize, Value> {
+    let mut nodes = Nodes::new(r, program, HINT, FxHashMap::default());
     for n in 0..=HINT {
         nodes.order(program, n, |k| input(k, n));
     }
     let zero = nodes.r.constant(0.0);
-    let mut sides = HashMap::new();
+    let mut sides = FxHashMap::default();
     for (i, instr) in program.code.iter().enumerate() {
         let Some((a, b)) = kink(*instr) else { continue };
         let mut side = zero;
@@ -93,7 +98,7 @@ pub fn along(
     let sides = if has_kinks(program) && order > HINT {
         sides(r, program, |k, n| solution[k][n])
     } else {
-        HashMap::new()
+        FxHashMap::default()
     };
     let mut nodes = Nodes::new(r, program, order, sides);
     for n in 0..=order {
@@ -114,7 +119,7 @@ struct Nodes<'a> {
     /// What is the same at all orders: a reciprocal, a branch.
     fixed: Vec<Option<Value>>,
     /// The sides of kinks, where they are known.
-    sides: HashMap<usize, Value>,
+    sides: FxHashMap<usize, Value>,
 }
 
 impl<'a> Nodes<'a> {
@@ -122,7 +127,7 @@ impl<'a> Nodes<'a> {
         r: &'a mut Recorder,
         program: &Program,
         order: usize,
-        sides: HashMap<usize, Value>,
+        sides: FxHashMap<usize, Value>,
     ) -> Self {
         let count = program.code.len();
         Self {

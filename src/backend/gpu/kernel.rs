@@ -11,7 +11,7 @@ use crate::backend::{BackendError, Kernel, Relay, Run, Spec, Surface, Trajectori
 use crate::integrator::Tableau;
 use crate::model::Precision;
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -35,7 +35,7 @@ pub(super) struct GpuKernel {
     spec: Spec,
     tableau: &'static Tableau,
     layout: wgpu::BindGroupLayout,
-    pipelines: HashMap<Variant, Pipelines>,
+    pipelines: FxHashMap<Variant, Pipelines>,
     memory: Option<Memory>,
     /// Attempted steps a second over all trajectories, as measured so far.
     speed: Option<f64>,
@@ -123,7 +123,7 @@ impl GpuKernel {
             spec,
             tableau,
             layout,
-            pipelines: HashMap::new(),
+            pipelines: FxHashMap::default(),
             memory: None,
             speed: None,
             clock,

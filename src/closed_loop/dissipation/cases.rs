@@ -4,7 +4,7 @@ use super::{Certificate, Laws, LoopError};
 use crate::closed_loop::Initial;
 use crate::closed_loop::forcing::{WAVES, Wave, components};
 use crate::model::{self, Model};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::f64::consts::TAU;
 
 /// Band of the sinusoids in units of the closed loop's slowest and fastest eigenvalue.
@@ -220,7 +220,7 @@ fn spread(model: &Model, certificate: &Certificate<'_>, count: usize, seed: u64)
 /// Largest |w*| of each disturbance over some states.
 fn largest(laws: &Laws<'_>, certificate: &Certificate<'_>, states: &[f64]) -> Vec<f64> {
     let h = laws.hamiltonian;
-    let mut values: HashMap<_, _> = h.point(laws.model);
+    let mut values: FxHashMap<_, _> = h.point(laws.model);
     let mut most = vec![0.0; h.disturbance.len()];
     let n = h.states();
     let stride = (states.len() / n).div_ceil(LOOKED_AT).max(1);

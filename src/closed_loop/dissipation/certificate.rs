@@ -6,7 +6,7 @@ use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use nalgebra::DMatrix;
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Least eigenvalue of P, of its largest, which rounding may leave of 0.
 const ROUNDING: f64 = 1e-10;
@@ -132,7 +132,7 @@ impl<'c> Certificate<'c> {
         reference: &[f64],
     ) -> Result<(Vec<f64>, Vec<Origin>), LoopError> {
         let n = reference.len();
-        let mut number: HashMap<Vec<u64>, usize> = HashMap::new();
+        let mut number: FxHashMap<Vec<u64>, usize> = FxHashMap::default();
         let mut states = Vec::new();
         let of: Vec<usize> = (x.chunks_exact(n))
             .map(|x| {

@@ -2,7 +2,7 @@
 
 use crate::expr::{Fun, Graph, Id, Node, Op};
 use nalgebra::DMatrix;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::fmt::Write;
 
 /// Names that the code uses.
@@ -110,7 +110,7 @@ impl Syntax<'_> {
         roots: &[Id],
         target: &str,
     ) -> String {
-        let mut names: HashMap<Id, String> = HashMap::new();
+        let mut names: FxHashMap<Id, String> = FxHashMap::default();
         for (symbols, array) in symbols {
             names.extend(
                 symbols
@@ -142,7 +142,7 @@ impl Syntax<'_> {
     }
 
     /// The formula of a node in the names of its arguments; none for a symbol, which has a name.
-    fn formula(&self, graph: &Graph, id: Id, names: &HashMap<Id, String>) -> Option<String> {
+    fn formula(&self, graph: &Graph, id: Id, names: &FxHashMap<Id, String>) -> Option<String> {
         let name = |id: Id| names[&id].as_str();
         Some(match graph.node(id) {
             Node::Symbol(_) => return None,

@@ -4,7 +4,7 @@ use super::OnnxError;
 use super::messages::DOUBLE;
 use super::write::{Name, Writer};
 use crate::expr::{Fun, Graph, Id, Node, Op};
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::f64::consts::FRAC_PI_2;
 
 /// The roots side by side, `[batch, roots]`. `symbols` are groups of symbols that are the columns
@@ -15,7 +15,7 @@ pub(super) fn write(
     symbols: &[(&[Id], &str)],
     roots: &[Id],
 ) -> Result<Name, OnnxError> {
-    let mut names: HashMap<Id, Name> = HashMap::new();
+    let mut names: FxHashMap<Id, Name> = FxHashMap::default();
     let place = |id: Id| {
         let groups = symbols.iter();
         groups

@@ -1,7 +1,7 @@
 //! Cells that states are asked for in vain, and that are left in the end.
 
 use crate::map::pieces::Want;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Failures in a cell after which no more states are tried there.
 const MOST: u32 = 6;
@@ -27,7 +27,7 @@ impl Asked {
 
 /// How often nothing came of what was asked for.
 #[derive(Default)]
-pub(super) struct Failures(HashMap<Asked, u32>);
+pub(super) struct Failures(FxHashMap<Asked, u32>);
 
 impl Failures {
     /// Whether no more states are tried for a cell.

@@ -6,7 +6,7 @@ use crate::backend::BackendError;
 use crate::map::pieces::{Before, Frame, Pieces, Region, Steep, Unanswered, Want, build};
 use crate::shooting::Path;
 use crate::value::clearances;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 use std::time::Instant;
 
 /// Share of the budget before the last rounds, and that is worth no further round.
@@ -165,7 +165,7 @@ impl Work<'_, '_> {
             inside.then_some((t, p, part))
         };
 
-        let mut points: HashMap<Vec<u8>, usize> = HashMap::new();
+        let mut points: FxHashMap<Vec<u8>, usize> = FxHashMap::default();
         for (_, _, part) in (0..self.points.len()).filter_map(place) {
             *points.entry(part).or_default() += 1;
         }
@@ -173,7 +173,7 @@ impl Work<'_, '_> {
         // weigh as much as the others.
         let most = MOST_PLACES / points.len().max(1);
 
-        let mut drawn: HashMap<Vec<u8>, f64> = HashMap::new();
+        let mut drawn: FxHashMap<Vec<u8>, f64> = FxHashMap::default();
         let mut places = Vec::new();
         let mut boxes = Vec::new();
         for k in 0..self.points.len() {

@@ -4,8 +4,9 @@
 use super::cell::{Cell, Corners, OfSeeds, Place};
 use super::{Cover, Open, STRAIGHT, holds};
 use crate::backend::BackendError;
+use rustc_hash::FxHashMap;
 use smallvec::SmallVec;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 /// Parts of a cell.
 const PARTS: usize = 8;
@@ -90,7 +91,7 @@ impl Cover<'_> {
             let seeds = of_level.entry(leaf.cell.level).or_default();
             seeds.extend(&leaf.cell.seeds);
         }
-        let mut traces: HashMap<(u32, usize), Vec<f64>> = HashMap::new();
+        let mut traces: FxHashMap<(u32, usize), Vec<f64>> = FxHashMap::default();
         for (level, mut seeds) in of_level {
             seeds.sort_unstable();
             seeds.dedup();

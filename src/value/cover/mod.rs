@@ -26,8 +26,9 @@ pub use aim::Aimed;
 use cell::{Cell, Corners, KEPT, OfSeeds, Place};
 use fan::Fan;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 use smallvec::SmallVec;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 /// States up to which the manifold is divided into cells, and up to which points of trajectories
 /// are looked up.
@@ -314,7 +315,7 @@ impl<'a> Cover<'a> {
         if count.iter().all(|c| *c <= MOST_CELLS) {
             return;
         }
-        let mut values: HashMap<usize, Vec<f64>> = HashMap::new();
+        let mut values: FxHashMap<usize, Vec<f64>> = FxHashMap::default();
         for cell in open.iter() {
             for c in &cell.copies {
                 let of = copies[*c as usize].sought;
@@ -323,7 +324,7 @@ impl<'a> Cover<'a> {
                 }
             }
         }
-        let limits: HashMap<usize, f64> = (values.into_iter())
+        let limits: FxHashMap<usize, f64> = (values.into_iter())
             .map(|(of, mut v)| (of, *v.select_nth_unstable_by(MOST_CELLS, f64::total_cmp).1))
             .collect();
         for cell in open.iter_mut() {

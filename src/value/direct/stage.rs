@@ -6,7 +6,7 @@ use crate::expr::Kind;
 use crate::model::Model;
 use crate::program::Program;
 use nalgebra::DMatrix;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Stages of the classical fourth-order method.
 const NODES: [f64; 4] = [0.0, 0.5, 0.5, 1.0];
@@ -48,7 +48,7 @@ impl Rates {
     pub fn new(model: &Model) -> Self {
         let mut graph = model.graph.clone();
         let n = model.states.len();
-        let mut values: HashMap<_, _> = HashMap::new();
+        let mut values: FxHashMap<_, _> = FxHashMap::default();
         for (symbol, value) in model.parameter_values() {
             values.insert(symbol, graph.constant(value));
         }

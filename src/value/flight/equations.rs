@@ -7,7 +7,7 @@ use crate::hamiltonian::Slope;
 use crate::model::{Method, Precision};
 use crate::program::Program;
 use crate::sweep::Plan;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Tolerance of a step, so that a flight's cost is good to about ten times it.
 const RTOL: f64 = 1e-9;
@@ -136,14 +136,14 @@ fn law(
     q: &[Id],
     h: &[Id],
     size: Id,
-) -> HashMap<Id, Id> {
+) -> FxHashMap<Id, Id> {
     let n = y.len();
     // The upper triangle, row by row.
     let entry = |i: usize, j: usize| {
         let (i, j) = (i.min(j), i.max(j));
         h[i * n - i * (i + 1) / 2 + j]
     };
-    let mut replaced = HashMap::new();
+    let mut replaced = FxHashMap::default();
     for i in 0..n {
         replaced.insert(inputs[i], graph.mul(size, y[i]));
         let mut terms: Vec<Id> = (0..n).map(|j| graph.mul(entry(i, j), y[j])).collect();

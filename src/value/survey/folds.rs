@@ -6,7 +6,7 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::extremal::Extremal;
 use crate::value::fold;
-use std::collections::HashSet;
+use rustc_hash::FxHashSet;
 
 /// Times that what was found behind folds is followed to further folds.
 const FOLD_ROUNDS: usize = 3;
@@ -21,7 +21,7 @@ impl Survey<'_> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let neighbours = self.targets.neighbours();
-        let mut tried: HashSet<(usize, usize)> = HashSet::new();
+        let mut tried: FxHashSet<(usize, usize)> = FxHashSet::default();
         for _ in 0..FOLD_ROUNDS {
             let mut ways = Vec::new();
             for e in 0..self.extremals.len() {

@@ -5,7 +5,7 @@ use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
 use rayon::prelude::*;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 /// Shortest steps, as shares of the way, from a greedy path.
 const FROM_GRID: f64 = 1.0 / 16.0;
@@ -127,7 +127,7 @@ impl Survey<'_> {
         &mut self,
         solver: &mut Solver,
         guesses: Vec<(usize, Path, f64)>,
-    ) -> Result<HashMap<usize, usize>, BackendError> {
+    ) -> Result<FxHashMap<usize, usize>, BackendError> {
         let tasks = (guesses.into_iter())
             .filter_map(|(target, path, least)| self.task_along(target, path, least));
         let tasks = tasks.collect();

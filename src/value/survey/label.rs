@@ -5,7 +5,8 @@ use super::Survey;
 use crate::value::extremal::{Extremal, misfit};
 use crate::value::nearest;
 use crate::value::targets::Groups;
-use std::collections::{BTreeMap, HashMap};
+use rustc_hash::FxHashMap;
+use std::collections::BTreeMap;
 
 /// Places that are looked at for copies, a place.
 const NEAR: usize = 12;
@@ -17,7 +18,7 @@ const SAME: f64 = 1e-9;
 pub(in crate::low_level::value) struct Sheets {
     groups: Groups,
     /// Members of each group by target and winding: two at one state are two sheets.
-    members: HashMap<usize, HashMap<(usize, usize), usize>>,
+    members: FxHashMap<usize, FxHashMap<(usize, usize), usize>>,
 }
 
 impl Sheets {
@@ -25,7 +26,8 @@ impl Sheets {
     pub fn push(&mut self, index: usize, extremal: &Extremal) {
         self.groups.push();
         let place = (extremal.target, extremal.winding);
-        self.members.insert(index, HashMap::from([(place, index)]));
+        self.members
+            .insert(index, FxHashMap::from_iter([(place, index)]));
     }
 
     pub fn root(&mut self, e: usize) -> usize {
@@ -77,7 +79,7 @@ impl Sheets {
         }
         let mut order: Vec<(usize, (f64, usize))> = least.into_iter().collect();
         order.sort_by(|a, b| a.1.0.total_cmp(&b.1.0).then(a.1.1.cmp(&b.1.1)));
-        let number: HashMap<usize, i32> = (order.iter().enumerate())
+        let number: FxHashMap<usize, i32> = (order.iter().enumerate())
             .map(|(k, (root, _))| (*root, k as i32))
             .collect();
         (0..extremals.len())

@@ -44,8 +44,8 @@ use crate::dynamic_programming::GridValue;
 use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
+use rustc_hash::FxHashSet;
 use spread::Effort;
-use std::collections::HashSet;
 use std::sync::Mutex;
 
 /// Shortest steps, as shares of the way, where there is nothing near to start from.
@@ -129,7 +129,7 @@ pub struct Survey<'a> {
     /// Cost of a flight along the answer itself, of listed states.
     flown: Vec<Option<f64>>,
     /// Trajectories from which ways to a target were tried.
-    pub(super) tried: HashSet<(usize, u32)>,
+    pub(super) tried: FxHashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
     pub uncovered: Vec<f64>,
     /// Whether the deadline cut the search short.
@@ -195,7 +195,7 @@ impl<'a> Survey<'a> {
             bounds: vec![None; targets.len()],
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
-            tried: HashSet::new(),
+            tried: FxHashSet::default(),
             stopped: false,
             direct: None,
             joined: Sheets::default(),

@@ -7,7 +7,8 @@ use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::archive::{Archive, Index};
 use crate::value::extremal::misfit;
-use std::collections::{BTreeMap, HashMap, HashSet};
+use rustc_hash::{FxHashMap, FxHashSet};
+use std::collections::BTreeMap;
 
 /// Swept trajectories tried for a target that nothing else has led to.
 const ATTEMPTS: usize = 3;
@@ -45,8 +46,8 @@ impl Survey<'_> {
     ) -> Result<(), BackendError> {
         let neighbours = self.targets.neighbours();
         // Ways that were followed, from an extremal to a target: once is enough.
-        let mut visited: HashSet<(usize, usize)> = HashSet::new();
-        let mut ways_to: HashMap<usize, usize> = HashMap::new();
+        let mut visited: FxHashSet<(usize, usize)> = FxHashSet::default();
+        let mut ways_to: FxHashMap<usize, usize> = FxHashMap::default();
         loop {
             let mut tasks: BTreeMap<(usize, usize), (f64, Task)> = BTreeMap::new();
             for e in 0..self.extremals.len() {

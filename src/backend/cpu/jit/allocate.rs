@@ -4,7 +4,7 @@
 use super::assembler::{Assembler, Base, Form, MASKS, Mask, Operand, Register, Set};
 use crate::backend::cpu::code::{Binary, Fused, Op, Value};
 use crate::model::Precision;
-use std::collections::HashMap;
+use rustc_hash::FxHashMap;
 
 const NEVER: u32 = u32::MAX;
 
@@ -45,7 +45,7 @@ struct Allocator<'a> {
     /// Places of values that have ended in the operation at hand, which may still read them.
     ended: Vec<i32>,
     spills: usize,
-    pool: HashMap<u64, i32>,
+    pool: FxHashMap<u64, i32>,
     patterns: Vec<u64>,
 }
 
@@ -68,7 +68,7 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
         free_spills: Vec::new(),
         ended: Vec::new(),
         spills: 0,
-        pool: HashMap::new(),
+        pool: FxHashMap::default(),
         patterns: Vec::new(),
     };
     for i in 0..ops.len() {

@@ -2,7 +2,7 @@
 
 use super::shadow::Edge;
 use super::{BESIDE, Block, Builder, Piece, REACH, Unanswered};
-use std::collections::HashSet;
+use rustc_hash::FxHashSet;
 
 /// Points of a block of which a fit and its tests see only a part.
 const MANY_POINTS: usize = 500;
@@ -131,7 +131,7 @@ impl Builder<'_> {
         if said.is_empty() {
             return false;
         }
-        let tracks: HashSet<u32> = block
+        let tracks: FxHashSet<u32> = block
             .points
             .iter()
             .map(|k| self.cloud.track[*k as usize])
