@@ -1,7 +1,9 @@
 //! What the sites around a place say there, and which of them speak of one sheet.
 
 use super::nodal::{self, Neighbour, Nodal, Prediction};
-use super::{AGREED, BEYOND, LOOK, OF_CHANGE, OF_SIZE, ONE_SIDED, SAME, SHEETS, SPREAD, ValueMap};
+use super::{
+    AGREED, BEYOND, FEW, LOOK, OF_CHANGE, OF_SIZE, ONE_SIDED, SAME, SHEETS, SPREAD, ValueMap,
+};
 use std::borrow::Cow;
 
 /// What one site says at a place.
@@ -22,9 +24,20 @@ impl ValueMap {
         most: usize,
         without: &[usize],
     ) -> Vec<(usize, f64)> {
-        let near = self.tree.near(place, f64::INFINITY, LOOK * most);
+        let near = |look: usize| self.tree.near(place, f64::INFINITY, look * most);
+        // Mostly the nearest few lie on enough sides.
+        let few = near(FEW);
+        let chosen = self.spread(&few, most, without);
+        if chosen.len() == most || few.len() < FEW * most {
+            return chosen;
+        }
+        self.spread(&near(LOOK), most, without)
+    }
+
+    /// Of sites by distance those that lie on different sides.
+    fn spread(&self, near: &[(usize, f64)], most: usize, without: &[usize]) -> Vec<(usize, f64)> {
         let mut chosen: Vec<(usize, f64)> = Vec::with_capacity(most);
-        for (site, distance) in near {
+        for &(site, distance) in near {
             if without.contains(&site) {
                 continue;
             }

@@ -184,8 +184,9 @@ pub struct ValueMap {
     controls: Evaluator,
 }
 
-/// Candidates looked at for each one wanted.
+/// Candidates looked at for each one wanted, and how many first.
 const LOOK: usize = 8;
+const FEW: usize = 2;
 /// A site counts as a neighbour only if no chosen one is nearer to it than this share of its own
 /// distance: neighbours on all sides rather than many on one trajectory.
 const SPREAD: f64 = 0.5;

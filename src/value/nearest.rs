@@ -1,9 +1,17 @@
-//! The nearest of many points: by an R-tree, or in many dimensions by looking at all.
+//! The nearest of many points: by a tree of boxes, or in many dimensions by looking at all.
+//!
+//! The tree is made once and asked for tens of points at a time, thousands of times a second, by the
+//! value map: what is looked at lies in rows, and what is found in a heap of as many as are asked
+//! for. (An R-tree of a library, whose iterator keeps all boxes that it has seen in a heap, takes
+//! several times as long.)
 
-use rstar::{AABB, PointDistance, RTree, RTreeObject};
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
 
 /// Points of up to this many coordinates are searched by a tree.
 pub const MOST_DIMENSIONS: usize = 10;
+/// Points of a box that is not divided.
+const LEAF: usize = 12;
 
 /// Points that can be asked for the ones nearest to a place.
 pub trait Nearest: Send + Sync {
@@ -12,57 +20,191 @@ pub trait Nearest: Send + Sync {
     fn near(&self, place: &[f64], within: f64, most: usize) -> Vec<(usize, f64)>;
 }
 
-struct Entry<const N: usize> {
-    at: [f64; N],
-    index: usize,
+/// Points in boxes, each box in two halves: a k-d tree.
+struct Tree<const N: usize> {
+    /// Those of a box follow each other.
+    points: Vec<[f64; N]>,
+    /// What the points were numbered before.
+    index: Vec<u32>,
+    /// The whole first; halves come after what they are of.
+    boxes: Vec<Cell<N>>,
 }
 
-impl<const N: usize> RTreeObject for Entry<N> {
-    type Envelope = AABB<[f64; N]>;
+/// The smallest box round some of the points.
+struct Cell<const N: usize> {
+    lower: [f64; N],
+    upper: [f64; N],
+    /// Its points.
+    first: u32,
+    last: u32,
+    /// Its halves' numbers; 0 where it is not divided.
+    halves: [u32; 2],
+}
 
-    fn envelope(&self) -> Self::Envelope {
-        AABB::from_point(self.at)
+/// A point with its distance; ordered by it, equal ones by index.
+#[derive(Clone, Copy, PartialEq)]
+struct Found {
+    distance: f64,
+    index: u32,
+}
+
+impl Eq for Found {}
+
+impl Ord for Found {
+    fn cmp(&self, other: &Self) -> Ordering {
+        (self.distance.total_cmp(&other.distance)).then(self.index.cmp(&other.index))
     }
 }
 
-impl<const N: usize> PointDistance for Entry<N> {
-    fn distance_2(&self, place: &[f64; N]) -> f64 {
-        self.at
-            .iter()
-            .zip(place)
-            .map(|(x, y)| (x - y).powi(2))
-            .sum()
+impl PartialOrd for Found {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
     }
 }
 
-struct Tree<const N: usize>(RTree<Entry<N>>);
+/// What a search has found so far.
+struct Search<const N: usize> {
+    place: [f64; N],
+    within: f64,
+    most: usize,
+    /// The nearest within the distance; or the nearest one alone, while all are beyond it.
+    found: BinaryHeap<Found>,
+    /// Nothing further away is of use.
+    bound: f64,
+}
 
-fn padded<const N: usize>(point: &[f64]) -> [f64; N] {
-    std::array::from_fn(|i| point.get(i).copied().unwrap_or(0.0))
+impl<const N: usize> Search<N> {
+    fn offer(&mut self, found: Found) {
+        if found.distance > self.bound {
+            return;
+        }
+        let beyond = found.distance > self.within;
+        let full = self.found.len() >= if beyond { 1 } else { self.most };
+        match self.found.peek() {
+            // The first one within takes the place of one beyond.
+            Some(worst) if worst.distance > self.within && !beyond => self.found.clear(),
+            Some(worst) if full && found > *worst => return,
+            Some(_) if full => _ = self.found.pop(),
+            _ => {}
+        }
+        self.found.push(found);
+        self.bound = match self.found.peek() {
+            Some(worst) if beyond || self.found.len() == self.most => worst.distance,
+            _ => self.within,
+        };
+    }
+}
+
+impl<const N: usize> Tree<N> {
+    fn new(points: &[f64]) -> Self {
+        let mut entries: Vec<([f64; N], u32)> = (points.as_chunks::<N>().0.iter().enumerate())
+            .map(|(k, p)| (*p, k as u32))
+            .collect();
+        let mut boxes = Vec::new();
+        if !entries.is_empty() {
+            Self::divide(&mut entries, 0, &mut boxes);
+        }
+        let (points, index) = entries.into_iter().unzip();
+        Self {
+            points,
+            index,
+            boxes,
+        }
+    }
+
+    /// Makes the box of some points, which begin at `first` among all, and those within it; its
+    /// number.
+    fn divide(entries: &mut [([f64; N], u32)], first: usize, boxes: &mut Vec<Cell<N>>) -> u32 {
+        let (mut lower, mut upper) = ([f64::INFINITY; N], [f64::NEG_INFINITY; N]);
+        for (p, _) in entries.iter() {
+            for i in 0..N {
+                lower[i] = lower[i].min(p[i]);
+                upper[i] = upper[i].max(p[i]);
+            }
+        }
+        let number = boxes.len();
+        boxes.push(Cell {
+            lower,
+            upper,
+            first: first as u32,
+            last: (first + entries.len()) as u32,
+            halves: [0; 2],
+        });
+        if entries.len() > LEAF {
+            let width = |i: &usize| upper[*i] - lower[*i];
+            let widest = (0..N).max_by(|i, j| width(i).total_cmp(&width(j)));
+            let widest = widest.unwrap_or(0);
+            let middle = entries.len() / 2;
+            entries.select_nth_unstable_by(middle, |a, b| a.0[widest].total_cmp(&b.0[widest]));
+            let (low, high) = entries.split_at_mut(middle);
+            let low = Self::divide(low, first, boxes);
+            let high = Self::divide(high, first + middle, boxes);
+            boxes[number].halves = [low, high];
+        }
+        number as u32
+    }
+
+    /// Distance of a box; never more than that of a point in it, rounding included.
+    fn distance(&self, number: u32, place: &[f64; N]) -> f64 {
+        let b = &self.boxes[number as usize];
+        let mut square = 0.0;
+        for i in 0..N {
+            let below = b.lower[i] - place[i];
+            let above = place[i] - b.upper[i];
+            let beside = if below > above { below } else { above };
+            square += if beside > 0.0 { beside } else { 0.0 }.powi(2);
+        }
+        square.sqrt()
+    }
+
+    fn visit(&self, number: u32, search: &mut Search<N>) {
+        let b = &self.boxes[number as usize];
+        if b.halves == [0; 2] {
+            let those = b.first as usize..b.last as usize;
+            for (p, index) in self.points[those.clone()].iter().zip(&self.index[those]) {
+                let mut square = 0.0;
+                for i in 0..N {
+                    square += (p[i] - search.place[i]).powi(2);
+                }
+                let distance = square.sqrt();
+                search.offer(Found {
+                    distance,
+                    index: *index,
+                });
+            }
+            return;
+        }
+        let mut halves = b
+            .halves
+            .map(|half| (self.distance(half, &search.place), half));
+        if halves[1].0 < halves[0].0 {
+            halves.swap(0, 1);
+        }
+        for (distance, half) in halves {
+            // One as far away as the last may hold one of a smaller index.
+            let is_of_no_use = distance > search.bound;
+            if !is_of_no_use {
+                self.visit(half, search);
+            }
+        }
+    }
 }
 
 impl<const N: usize> Nearest for Tree<N> {
     fn near(&self, place: &[f64], within: f64, most: usize) -> Vec<(usize, f64)> {
-        let mut found: Vec<(usize, f64)> = Vec::new();
-        for (entry, square) in self.0.nearest_neighbor_iter_with_distance_2(padded(place)) {
-            let distance = square.sqrt();
-            // Equal distances come in any order: one more than asked for settles who is among the
-            // last.
-            let full = found.len() >= most && found.last().is_some_and(|(_, d)| distance > *d);
-            let outside = distance > within && found.last().is_some_and(|(_, d)| distance > *d);
-            if full || outside {
-                break;
-            }
-            found.push((entry.index, distance));
+        let mut search = Search {
+            place: std::array::from_fn(|i| place[i]),
+            within,
+            most,
+            found: BinaryHeap::with_capacity(most.min(self.points.len()) + 1),
+            bound: f64::INFINITY,
+        };
+        if most > 0 && !self.boxes.is_empty() {
+            self.visit(0, &mut search);
         }
-        found.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-        found.truncate(most);
-        let inside = found
-            .iter()
-            .filter(|(_, distance)| *distance <= within)
-            .count();
-        found.truncate(inside.max(1));
-        found
+        (search.found.into_sorted_vec().into_iter())
+            .map(|f| (f.index as usize, f.distance))
+            .collect()
     }
 }
 
@@ -100,25 +242,17 @@ impl Nearest for All {
 
 /// An index over points of `dimensions` coordinates, `[point][dimensions]`.
 pub fn index(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
-    fn tree<const N: usize>(points: &[f64], dimensions: usize) -> Box<dyn Nearest> {
-        let all = points.chunks(dimensions).enumerate();
-        let entries = all.map(|(index, p)| Entry::<N> {
-            at: padded(p),
-            index,
-        });
-        Box::new(Tree(RTree::bulk_load(entries.collect())))
-    }
     match dimensions {
-        // A tree has at least two dimensions.
-        1 | 2 => tree::<2>(points, dimensions),
-        3 => tree::<3>(points, dimensions),
-        4 => tree::<4>(points, dimensions),
-        5 => tree::<5>(points, dimensions),
-        6 => tree::<6>(points, dimensions),
-        7 => tree::<7>(points, dimensions),
-        8 => tree::<8>(points, dimensions),
-        9 => tree::<9>(points, dimensions),
-        10 => tree::<10>(points, dimensions),
+        1 => Box::new(Tree::<1>::new(points)),
+        2 => Box::new(Tree::<2>::new(points)),
+        3 => Box::new(Tree::<3>::new(points)),
+        4 => Box::new(Tree::<4>::new(points)),
+        5 => Box::new(Tree::<5>::new(points)),
+        6 => Box::new(Tree::<6>::new(points)),
+        7 => Box::new(Tree::<7>::new(points)),
+        8 => Box::new(Tree::<8>::new(points)),
+        9 => Box::new(Tree::<9>::new(points)),
+        10 => Box::new(Tree::<10>::new(points)),
         _ => Box::new(All {
             points: points.to_vec(),
             dimensions,
@@ -141,29 +275,52 @@ mod tests {
                 let place: Vec<f64> = (0..n)
                     .map(|i| ((q * 7 + i) as f64 * 0.417).fract())
                     .collect();
-                let mut all: Vec<(usize, f64)> = points
-                    .chunks(n)
-                    .map(|p| {
-                        p.iter()
-                            .zip(&place)
-                            .map(|(x, y)| (x - y).powi(2))
-                            .sum::<f64>()
-                            .sqrt()
-                    })
-                    .enumerate()
-                    .collect();
-                all.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
-                let found = tree.near(&place, 0.2, 8);
-                let expected: Vec<_> = (all.iter().take(8).enumerate())
-                    .filter(|(k, (_, d))| *k == 0 || *d <= 0.2)
-                    .map(|(_, x)| *x)
-                    .collect();
-                assert_eq!(
-                    found.iter().map(|f| f.0).collect::<Vec<_>>(),
-                    expected.iter().map(|f| f.0).collect::<Vec<_>>(),
-                    "{n} dimensions, place {q}"
-                );
+                compare(&points, &*tree, &place);
             }
+        }
+    }
+
+    /// Of points at one distance those of smaller indices come first, however the tree is divided.
+    #[test]
+    fn equal_distances_are_told_apart_by_index() {
+        for n in [1, 2, 3] {
+            let points: Vec<f64> = (0..400 * n).map(|k| ((k * 7919) % 5) as f64).collect();
+            let tree = index(&points, n);
+            for place in [0.0, 1.5, 2.0, 9.0] {
+                compare(&points, &*tree, &vec![place; n]);
+            }
+        }
+        assert!(index(&[], 2).near(&[0.0, 0.0], 1.0, 3).is_empty());
+    }
+
+    fn compare(points: &[f64], tree: &dyn Nearest, place: &[f64]) {
+        let square = |p: &[f64]| {
+            p.iter()
+                .zip(place)
+                .map(|(x, y)| (x - y).powi(2))
+                .sum::<f64>()
+        };
+        let mut all: Vec<(usize, f64)> = (points.chunks(place.len()))
+            .map(|p| square(p).sqrt())
+            .enumerate()
+            .collect();
+        all.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
+        for (within, most) in [
+            (0.2, 8),
+            (0.0, 1),
+            (f64::INFINITY, 40),
+            (0.3, 1000),
+            (1.0, 3),
+        ] {
+            let expected: Vec<_> = (all.iter().take(most).enumerate())
+                .filter(|(k, (_, d))| *k == 0 || *d <= within)
+                .map(|(_, x)| *x)
+                .collect();
+            assert_eq!(
+                tree.near(place, within, most),
+                expected,
+                "{most} within {within} of {place:?}"
+            );
         }
     }
 }
