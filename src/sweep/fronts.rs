@@ -392,7 +392,7 @@ impl<'a> Fronts<'a> {
         self.unjudged = 0;
         self.placed_outside = false;
         self.drop_unaffordable();
-        for vertex in self.neighbours.take_forgotten() {
+        for vertex in self.neighbours.take_closed() {
             self.nodes.forget(vertex);
         }
         match self.nodes.failure() {
@@ -423,6 +423,7 @@ impl<'a> Fronts<'a> {
 
     fn verdict(&self, edge: Edge, [x, y]: &mut [Vec<f32>; 2]) -> Verdict {
         let Edge(a, b) = edge;
+        // What comes near a vertex that all neighbours were near to is near enough.
         let (Some(at_a), Some(at_b)) = (self.nodes.state(a), self.nodes.state(b)) else {
             return Verdict::Settled;
         };

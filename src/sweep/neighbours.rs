@@ -45,7 +45,10 @@ pub struct Neighbours {
     faces: Faces,
     /// Edges that have come up since they were last asked for.
     fresh: Vec<Edge>,
-    /// Vertices that have been forgotten since they were last asked for.
+    /// Vertices whose last open edge was settled since they were last asked for.
+    closed: Vec<Vertex>,
+    /// Those that nothing will be near.
+    #[cfg(test)]
     forgotten: Vec<Vertex>,
     /// Memory for what surrounds an edge.
     around: Vec<Vertex>,
@@ -95,8 +98,15 @@ impl Neighbours {
         std::mem::take(&mut self.fresh)
     }
 
-    /// Vertices that have been forgotten since the last call: nothing will be near them.
-    pub fn take_forgotten(&mut self) -> Vec<Vertex> {
+    /// Vertices whose last open edge was settled since the last call, and that got no other since.
+    pub fn take_closed(&mut self) -> Vec<Vertex> {
+        let mut closed = std::mem::take(&mut self.closed);
+        closed.retain(|v| self.stars[*v as usize].open == 0);
+        closed
+    }
+
+    #[cfg(test)]
+    fn take_forgotten(&mut self) -> Vec<Vertex> {
         std::mem::take(&mut self.forgotten)
     }
 
@@ -119,6 +129,8 @@ impl Neighbours {
         if star.open > 0 {
             return;
         }
+        self.closed.push(vertex);
+        let star = &self.stars[vertex as usize];
         let mut done = std::mem::take(&mut self.around);
         done.clear();
         if star.open_neighbours == 0 {
@@ -146,6 +158,7 @@ impl Neighbours {
                 star.neighbours.remove(at);
             }
         }
+        #[cfg(test)]
         self.forgotten.push(vertex);
     }
 
