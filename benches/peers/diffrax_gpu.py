@@ -14,31 +14,9 @@ import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pendulum
 
 jax.config.update("jax_enable_x64", True)
-q, r, g, xf = 5.55, 1.85, 9.81, -1.5
-# Plain numbers: those of NumPy would make all of it f64.
-steady = float(g * np.sin(xf))
-a = float(-g * np.cos(xf))
-p12 = r * (a + (a * a + q / r) ** 0.5)
-p22 = (r * (2 * p12 + q)) ** 0.5
-P = np.array([[p22 * (p12 / r - a), p12], [p12, p22]])
-
-
-def pendulum_seeds(count, c=1e-4):
-    w, U = np.linalg.eigh(P)
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    s = U @ (np.array([np.cos(angle), np.sin(angle)]) * np.sqrt(2 * c) / np.sqrt(w)[:, None])
-    return np.vstack([xf + s[0], s[1], P @ s, np.full(count, c)])
-
-
-def pendulum(t, y, _):
-    x1, x2, p1, p2, _ = y
-    u = steady - p2 / r
-    cost = 0.5 * (q * (x1 - xf) ** 2 + q * x2**2 + r * (u - steady) ** 2)
-    return jnp.array(
-        [-x2, g * jnp.sin(x1) - u, q * (x1 - xf) - g * jnp.cos(x1) * p2, q * x2 + p1, cost]
-    )
 
 
 def van_der_pol_seeds(count):
@@ -73,7 +51,7 @@ def run(rate, until, seeds, tolerance, dtype):
 
 for count in map(int, sys.argv[1:]):
     cases = [
-        ("pendulum", pendulum, 4.0, pendulum_seeds(count)),
+        ("pendulum", pendulum.rate_with(jnp), 4.0, pendulum.seeds(count)),
         ("van_der_pol", van_der_pol, 20.0, van_der_pol_seeds(count)),
     ]
     for name, rate, until, seeds in cases:

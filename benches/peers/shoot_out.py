@@ -13,39 +13,21 @@ import json
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import heyoka as hy
 import numpy as np
+from pendulum import g, q, r, rate_with, seeds, steady, xf
 
-q, r, g, xf = 5.55, 1.85, 9.81, -1.5
-steady = float(g * np.sin(xf))
-a = float(-g * np.cos(xf))
-p12 = r * (a + (a * a + q / r) ** 0.5)
-p22 = (r * (2 * p12 + q)) ** 0.5
-P = np.array([[p22 * (p12 / r - a), p12], [p12, p22]])
 TIME = 4.0
 THREADS = 2
 
 
-def seeds(count, c=1e-4):
-    w, U = np.linalg.eigh(P)
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    s = U @ (np.array([np.cos(angle), np.sin(angle)]) * np.sqrt(2 * c) / np.sqrt(w)[:, None])
-    return np.vstack([xf + s[0], s[1], P @ s, np.full(count, c)])
-
-
 def by_heyoka(count, tolerance, batch=32):
     """Taylor series in SIMD batches, f64."""
-    x1, x2, p1, p2, V = hy.make_vars("x1", "x2", "p1", "p2", "V")
-    u = steady - p2 / r
-    cost = 0.5 * (q * (x1 - xf) ** 2 + q * x2**2 + r * (u - steady) ** 2)
-    equations = [
-        (x1, -x2),
-        (x2, g * hy.sin(x1) - u),
-        (p1, q * (x1 - xf) - g * hy.cos(x1) * p2),
-        (p2, q * x2 + p1),
-        (V, cost),
-    ]
+    symbols = hy.make_vars("x1", "x2", "p1", "p2", "V")
+    expressions = SimpleNamespace(sin=hy.sin, cos=hy.cos, array=list)
+    equations = list(zip(symbols, rate_with(expressions)(0.0, symbols, None)))
     start = seeds(count)
     made = hy.taylor_adaptive_batch(
         equations, np.ascontiguousarray(start[:, :batch]), tol=tolerance
@@ -124,18 +106,10 @@ def by_diffrax(count, tolerance):
 
     jax.config.update("jax_enable_x64", True)
 
-    def rate(t, y, _):
-        x1, x2, p1, p2, _ = y
-        u = steady - p2 / r
-        cost = 0.5 * (q * (x1 - xf) ** 2 + q * x2**2 + r * (u - steady) ** 2)
-        return jnp.array(
-            [-x2, g * jnp.sin(x1) - u, q * (x1 - xf) - g * jnp.cos(x1) * p2, q * x2 + p1, cost]
-        )
-
     def one(start):
         control = dfx.PIDController(rtol=tolerance, atol=tolerance)
         return dfx.diffeqsolve(
-            dfx.ODETerm(rate),
+            dfx.ODETerm(rate_with(jnp)),
             dfx.Tsit5(),
             0.0,
             TIME,

@@ -535,7 +535,7 @@ pub trait Kernel: Send {
     }
 
     /// Trajectories a batch from which on larger ones are no faster.
-    fn fill(&self) -> usize {
+    fn preferred_batch(&self) -> usize {
         usize::MAX
     }
 

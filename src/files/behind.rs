@@ -11,6 +11,10 @@ const BYTES: usize = 32 << 20;
 /// end alone, all wait for the disk. Elsewhere than on Linux it does nothing.
 #[derive(Debug, Default)]
 pub struct Behind {
+    #[cfg_attr(
+        not(target_os = "linux"),
+        expect(dead_code, reason = "it is asked on Linux alone")
+    )]
     file: Option<File>,
     bytes: usize,
 }

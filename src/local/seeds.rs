@@ -41,7 +41,6 @@ pub struct LocalSolution {
     to_adjoint: DMatrix<f64>,
     basis: Basis,
     value: Vec<f64>,
-    gradient: Vec<Vec<f64>>,
     /// `[monomial][derivative by z_i, then V]` up to the degree kept.
     packed: Vec<f64>,
     /// Second derivatives by `z_i`, `z_j`, j up to i, row by row.
@@ -203,7 +202,6 @@ impl LocalSolution {
             to_adjoint,
             basis,
             value: kept,
-            gradient,
             packed,
             second,
             limit,
@@ -247,9 +245,9 @@ impl LocalSolution {
     pub fn expansion(&self, s: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
         let n = s.len();
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
-        let m = self.basis.monomials(z.as_slice());
-        let dot = |c: &[f64]| c.iter().zip(&m).map(|(c, m)| c * m).sum::<f64>();
-        let q = DVector::from_iterator(n, self.gradient.iter().map(|g| dot(g)));
+        let (mut at, mut monomials) = (vec![0.0; 2 * n + 1], Vec::new());
+        self.fill(z.as_slice(), &mut monomials, &mut at);
+        let dot = |c: &[f64]| c.iter().zip(&monomials).map(|(c, m)| c * m).sum::<f64>();
         let mut second = DMatrix::zeros(n, n);
         let mut entries = self.second.iter();
         for i in 0..n {
@@ -259,11 +257,10 @@ impl LocalSolution {
                 second[(j, i)] = value;
             }
         }
-        let p = &self.to_adjoint * q;
         let hessian = &self.to_adjoint * second * self.to_adjoint.transpose();
         (
-            dot(&self.value),
-            p.iter().copied().collect(),
+            at[2 * n],
+            at[n..2 * n].to_vec(),
             hessian.transpose().iter().copied().collect(),
         )
     }
@@ -299,17 +296,28 @@ impl LocalSolution {
 
     /// [`LocalSolution::seed`], into memory that is there: `seed` has room for `(s, p, V)`.
     pub fn seed_into(&self, direction: &[f64], seed: &mut [f64], scratch: &mut SeedScratch) {
+        // With the number of states as a constant, loops over them are none.
         match direction.len() {
-            1 => self.flow.inward::<1>(direction, scratch),
-            2 => self.flow.inward::<2>(direction, scratch),
-            3 => self.flow.inward::<3>(direction, scratch),
-            4 => self.flow.inward::<4>(direction, scratch),
-            5 => self.flow.inward::<5>(direction, scratch),
-            6 => self.flow.inward::<6>(direction, scratch),
-            _ => self.flow.inward::<0>(direction, scratch),
+            1 => self.seed_of::<1>(direction, seed, scratch),
+            2 => self.seed_of::<2>(direction, seed, scratch),
+            3 => self.seed_of::<3>(direction, seed, scratch),
+            4 => self.seed_of::<4>(direction, seed, scratch),
+            5 => self.seed_of::<5>(direction, seed, scratch),
+            6 => self.seed_of::<6>(direction, seed, scratch),
+            _ => self.seed_of::<0>(direction, seed, scratch),
         }
-        let SeedScratch { z, monomials, .. } = scratch;
-        self.fill(z, monomials, seed);
+    }
+
+    /// [`LocalSolution::seed_into`] of N states, or any number where that is 0.
+    #[inline(always)]
+    fn seed_of<const N: usize>(
+        &self,
+        direction: &[f64],
+        seed: &mut [f64],
+        scratch: &mut SeedScratch,
+    ) {
+        self.flow.inward::<N>(direction, scratch);
+        self.fill_of::<N>(&scratch.z, &mut scratch.monomials, seed);
     }
 
     /// `(s, p, V)` of the local solution at `s = t z`.
@@ -319,18 +327,9 @@ impl LocalSolution {
         at
     }
 
-    /// [`LocalSolution::at`], into memory that is there.
+    /// [`LocalSolution::at`], into memory that is there; `monomials` are those of z then.
     fn fill(&self, z: &[f64], monomials: &mut Vec<f64>, to: &mut [f64]) {
-        // With the number of states as a constant loops over them are none.
-        match z.len() {
-            1 => self.fill_of::<1>(z, monomials, to),
-            2 => self.fill_of::<2>(z, monomials, to),
-            3 => self.fill_of::<3>(z, monomials, to),
-            4 => self.fill_of::<4>(z, monomials, to),
-            5 => self.fill_of::<5>(z, monomials, to),
-            6 => self.fill_of::<6>(z, monomials, to),
-            _ => self.fill_of::<0>(z, monomials, to),
-        }
+        self.fill_of::<0>(z, monomials, to);
     }
 
     /// [`LocalSolution::fill`] of N states, or any number where that is 0.
@@ -350,9 +349,10 @@ impl LocalSolution {
         multiply::<N>(&self.t, z, s);
         let (q, _) = rest.split_at_mut(n);
         // p takes the place of V's derivatives.
-        monomials.clear();
+        let terms = monomials.len();
         monomials.extend_from_slice(q);
-        multiply::<N>(&self.to_adjoint, monomials, q);
+        multiply::<N>(&self.to_adjoint, &monomials[terms..], q);
+        monomials.truncate(terms);
     }
 
     /// V of the local solution at a deviation `s`, with `p`.
@@ -451,6 +451,7 @@ impl Flow {
     /// first, Newton's method finds the rest of the time.
     ///
     /// Of N states, or any number where that is 0.
+    #[inline(always)]
     fn inward<const N: usize>(&self, direction: &[f64], scratch: &mut SeedScratch) {
         let norm = |z: &[f64]| z.iter().map(|x| x * x).sum::<f64>().sqrt();
         scratch.z.clear();

@@ -51,8 +51,6 @@ pub enum SessionError {
     NoGridGuesses,
     #[error("state {state} (from 0): {source}")]
     Turns { state: usize, source: TooManyTurns },
-    #[error("the sweep's thread stopped unexpectedly")]
-    Thread,
     /// What is wrong with the scene, with its place.
     #[error(transparent)]
     Scenario(#[from] ScenarioErrors),
@@ -84,7 +82,7 @@ impl SessionError {
     #[must_use]
     pub fn is_of_input(&self) -> bool {
         match self {
-            Self::NothingSwept { .. } | Self::Thread => false,
+            Self::NothingSwept { .. } => false,
             Self::Backend(error) => error.is_of_input(),
             Self::Study(error) => {
                 matches!(error, StudyError::Scene { .. } | StudyError::Plan { .. })

@@ -229,9 +229,8 @@ impl<'a> Fronts<'a> {
             batch: Trajectories::default(),
             report: SweepReport::default(),
         };
-        let (mut seed, mut scratch) = (vec![0.0; 2 * n + 1], SeedScratch::default());
-        for mut parameter in parameters {
-            let guarded = plan.surface.place(&mut parameter, &mut seed, &mut scratch);
+        for parameter in parameters {
+            let (parameter, seed, guarded) = plan.surface.placed(parameter);
             this.place(&parameter, &seed, guarded, false);
         }
         this
@@ -265,7 +264,6 @@ impl<'a> Fronts<'a> {
 
     /// Enters a vertex, to be swept if it is inside the guards.
     fn place(&mut self, parameter: &[f64], seed: &[f64], guarded: Guarded, at_guard: bool) {
-        let boundary = at_guard || (guarded.inside && guarded.on_boundary);
         let state = if guarded.inside {
             State::Pending
         } else {
@@ -273,6 +271,7 @@ impl<'a> Fronts<'a> {
             self.placed_outside = true;
             State::Outside
         };
+        let boundary = at_guard || guarded.on_boundary;
         let vertex = self.nodes.add(parameter, seed, state, boundary);
         if guarded.inside {
             self.pending.push(vertex);
@@ -290,7 +289,7 @@ impl<'a> Fronts<'a> {
         let dim = plan.spec.dim();
         let pending = std::mem::take(&mut self.pending);
         self.unjudged = pending.len();
-        let most = batch_limit(dim, plan.run.levels.len()).min(kernel.fill());
+        let most = batch_limit(dim, plan.run.levels.len()).min(kernel.preferred_batch());
         for vertices in pending.chunks(most) {
             self.seeds.resize(vertices.len() * dim, 0.0);
             let nodes = &self.nodes;

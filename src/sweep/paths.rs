@@ -8,7 +8,7 @@ use super::gaps::BLOCK;
 use rustc_hash::FxHashMap;
 use std::fs::File;
 use std::io;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError, RwLock};
 
 /// Bytes that are held in memory.
 const MEMORY: usize = 160 << 20;
@@ -28,7 +28,7 @@ pub(super) struct Paths {
 struct Beyond {
     file: Option<File>,
     /// Rows that could not be written to it.
-    unwritten: Mutex<FxHashMap<u32, Vec<f32>>>,
+    unwritten: RwLock<FxHashMap<u32, Vec<f32>>>,
     /// Why a row could not be read again.
     failure: Mutex<Option<io::Error>>,
 }
@@ -124,17 +124,21 @@ impl Beyond {
         let bytes: Vec<u8> = numbers.iter().flat_map(|x| x.to_ne_bytes()).collect();
         let written = (self.file.as_ref())
             .is_some_and(|file| write_at(file, &bytes, offset(row, bytes.len())).is_ok());
-        let mut unwritten = (self.unwritten.lock()).unwrap_or_else(PoisonError::into_inner);
-        if written {
-            unwritten.remove(&row);
-        } else {
-            unwritten.insert(row, numbers.to_vec());
+        let any = !(self.unwritten.read())
+            .unwrap_or_else(PoisonError::into_inner)
+            .is_empty();
+        if any || !written {
+            let mut unwritten = (self.unwritten.write()).unwrap_or_else(PoisonError::into_inner);
+            match written {
+                true => unwritten.remove(&row),
+                false => unwritten.insert(row, numbers.to_vec()),
+            };
         }
     }
 
     fn read(&self, row: u32, numbers: &mut [f32]) {
         {
-            let unwritten = (self.unwritten.lock()).unwrap_or_else(PoisonError::into_inner);
+            let unwritten = (self.unwritten.read()).unwrap_or_else(PoisonError::into_inner);
             if let Some(held) = unwritten.get(&row) {
                 numbers.copy_from_slice(held);
                 return;

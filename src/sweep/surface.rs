@@ -29,7 +29,7 @@ pub struct Surface {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Guarded {
     pub inside: bool,
-    /// To rounding.
+    /// Inside, and on the boundary of a guard to rounding.
     pub on_boundary: bool,
 }
 
@@ -161,8 +161,15 @@ impl Surface {
         }
     }
 
-    /// Computes the seed `(s, p, V)` at a parameter, which is moved inside a guard as
-    /// [`Surface::nudged`] does; and what the guards say of it.
+    /// [`Surface::place`], with memory of its own: the parameter, and the seed.
+    pub fn placed(&self, mut parameter: Vec<f64>) -> (Vec<f64>, Vec<f64>, Guarded) {
+        let mut seed = vec![0.0; 2 * self.states + 1];
+        let guarded = self.place(&mut parameter, &mut seed, &mut SeedScratch::default());
+        (parameter, seed, guarded)
+    }
+
+    /// Computes the seed `(s, p, V)` at a parameter, which is moved back inside a guard where it is
+    /// outside by rounding alone; and what the guards say of it.
     pub fn place(
         &self,
         parameter: &mut [f64],
@@ -191,11 +198,17 @@ impl Surface {
 
     /// What guards of such values say of a seed.
     fn guarded(&self, seed: &[f64], values: &[f64]) -> Guarded {
-        let size = self.size(seed);
+        let inside = self.all_hold(values);
         Guarded {
-            inside: self.all_hold(values),
-            on_boundary: values.iter().any(|v| v.abs() <= ROUNDING * size),
+            inside,
+            on_boundary: inside && self.is_at_one(seed, values),
         }
+    }
+
+    /// Whether a guard of such values is zero at a seed, to rounding.
+    fn is_at_one(&self, seed: &[f64], values: &[f64]) -> bool {
+        let size = self.size(seed);
+        values.iter().any(|v| v.abs() <= ROUNDING * size)
     }
 
     /// The largest component of a seed's state.
@@ -259,25 +272,16 @@ impl Surface {
 
     /// Whether a seed lies on the boundary of a guard, to rounding.
     pub fn on_boundary(&self, seed: &[f64]) -> bool {
-        self.guarded(seed, &self.guard_values(seed)).on_boundary
+        self.is_at_one(seed, &self.guard_values(seed))
     }
 
     fn guard_values(&self, seed: &[f64]) -> Vec<f64> {
         self.guards.eval(&seed[..2 * self.states])
     }
 
-    /// The parameter moved back inside where it is outside by rounding alone: points between two on
-    /// a guard's boundary lie on it, but for rounding.
-    pub fn nudged(&self, parameter: Vec<f64>) -> Vec<f64> {
-        if self.strict.is_empty() {
-            return parameter;
-        }
-        let seed = self.seed(&parameter);
-        let moved = self.nudge(&parameter, &seed, &self.guard_values(&seed));
-        moved.unwrap_or(parameter)
-    }
-
-    /// Where [`Surface::nudged`] moves a parameter with this seed and these values of its guards.
+    /// Where a parameter with this seed and these values of its guards is back inside, if it is
+    /// outside by rounding alone: points between two on a guard's boundary lie on it, but for
+    /// rounding.
     fn nudge(&self, parameter: &[f64], seed: &[f64], values: &[f64]) -> Option<Vec<f64>> {
         const STEP: f64 = 1e-6;
         let size = self.size(seed);

@@ -129,8 +129,8 @@ impl Kernel for RecordingKernel {
         Ok(())
     }
 
-    fn fill(&self) -> usize {
-        self.kernel.fill()
+    fn preferred_batch(&self) -> usize {
+        self.kernel.preferred_batch()
     }
 }
 

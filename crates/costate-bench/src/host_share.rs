@@ -118,8 +118,8 @@ impl Kernel for MeteredKernel {
         Ok(())
     }
 
-    fn fill(&self) -> usize {
-        self.kernel.fill()
+    fn preferred_batch(&self) -> usize {
+        self.kernel.preferred_batch()
     }
 
     fn kernel_seconds(&self) -> Option<f64> {

@@ -91,9 +91,8 @@ impl Work {
 
     /// The integrated vector at a parameter; `None` outside the guards.
     pub fn seed(&self, parameter: &[f64]) -> Option<Vec<f64>> {
-        let surface = &self.plan.surface;
-        let seed = surface.seed(&surface.nudged(parameter.to_vec()));
-        surface.inside(&seed).then(|| self.plan.start(&seed))
+        let (_, seed, guarded) = self.plan.surface.placed(parameter.to_vec());
+        guarded.inside.then(|| self.plan.start(&seed))
     }
 
     pub fn count(&self) -> usize {

@@ -38,7 +38,7 @@ pub enum Simd {
 }
 
 impl Simd {
-    /// All sets, whether this machine has them or not.
+    /// All sets, the widest last, whether this machine has them or not.
     pub const ALL: &[Simd] = &[
         Simd::Baseline,
         #[cfg(target_arch = "x86_64")]
@@ -49,19 +49,10 @@ impl Simd {
 
     /// The widest set this machine has.
     pub fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if is_x86_feature_detected!("avx512f")
-                && is_x86_feature_detected!("avx512dq")
-                && is_x86_feature_detected!("avx512vl")
-            {
-                return Simd::Avx512;
-            }
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                return Simd::Avx2;
-            }
-        }
-        Simd::Baseline
+        let mut widest_first = Self::ALL.iter().rev().copied();
+        widest_first
+            .find(|simd| simd.is_here())
+            .unwrap_or(Simd::Baseline)
     }
 
     /// Whether this machine has it.
@@ -69,9 +60,9 @@ impl Simd {
         match self {
             Simd::Baseline => true,
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            Simd::Avx2 => jit::Set::Avx2.is_here(),
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => Simd::detect() == Simd::Avx512,
+            Simd::Avx512 => jit::Set::Avx512.is_here(),
         }
     }
 
@@ -92,7 +83,7 @@ const LANES_F64: usize = 16;
 const LANES_F32: usize = 32;
 const LANES_INTERPRETED: usize = 64;
 /// Trajectories a thread in a batch from which on lanes that have run dry at its end cost little.
-const FILL: usize = 1024;
+const BATCH: usize = 1024;
 
 /// The CPU backend.
 #[derive(Clone, Debug)]
@@ -107,11 +98,11 @@ pub struct Cpu {
 impl Cpu {
     pub fn new() -> Self {
         let simd = Simd::detect();
-        Self {
+        Self::compiling(simd).unwrap_or(Self {
             simd,
-            compile: simd != Simd::Baseline && jit_works(),
+            compile: false,
             too_long: Arc::default(),
-        }
+        })
     }
 
     /// A backend restricted to an instruction set the machine has, which interprets the equations;
@@ -252,8 +243,8 @@ impl Kernel for CpuKernel {
         self.seconds
     }
 
-    fn fill(&self) -> usize {
-        FILL * rayon::current_num_threads()
+    fn preferred_batch(&self) -> usize {
+        BATCH * rayon::current_num_threads()
     }
 
     fn integrate_into(

@@ -199,12 +199,9 @@ impl<'a> Fan<'a> {
 
     /// A new seed.
     pub fn seed(&mut self, parameter: Vec<f64>) -> u32 {
-        let parameter = self.surface.nudged(parameter);
-        let seed = self.surface.seed(&parameter);
-        let inside = self.surface.inside(&seed);
-        self.boundary
-            .push(inside && self.surface.on_boundary(&seed));
-        self.inside.push(inside);
+        let (parameter, _, guarded) = self.surface.placed(parameter);
+        self.boundary.push(guarded.on_boundary);
+        self.inside.push(guarded.inside);
         self.parameters.push(parameter);
         self.trajectories.push(None);
         (self.parameters.len() - 1) as u32
@@ -332,9 +329,8 @@ impl<'a> Fan<'a> {
         for (parameter, weight) in parameters.zip(weights) {
             (mean.iter_mut().zip(parameter)).for_each(|(m, q)| *m += weight * q);
         }
-        let parameter = self.surface.nudged(self.surface.normalized(mean));
-        let seed = self.surface.seed(&parameter);
-        self.surface.inside(&seed).then_some(seed)
+        let (_, seed, guarded) = self.surface.placed(self.surface.normalized(mean));
+        guarded.inside.then_some(seed)
     }
 
     /// The trajectories of seeds `(s, p, V)` up to the cost that others were integrated to last:

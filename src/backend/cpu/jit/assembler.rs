@@ -16,7 +16,7 @@ pub type Mask = u8;
 pub enum Set {
     /// AVX2 and FMA: 16 registers of 256 bits.
     Avx2,
-    /// AVX-512 F and DQ: 32 registers of 512 bits, and registers of masks.
+    /// AVX-512 F, DQ and VL: 32 registers of 512 bits, and registers of masks.
     Avx512,
 }
 
