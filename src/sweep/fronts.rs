@@ -453,7 +453,7 @@ impl<'a> Fronts<'a> {
             return;
         }
         for (edge, gap) in self.waiting.keep(KEPT.max(most)) {
-            self.neighbours.settle(edge);
+            self.neighbours.give_up(edge);
             let coverage = &mut self.report.coverage;
             coverage.uncovered += 1;
             coverage.widest = coverage.widest.max(f64::from(gap));

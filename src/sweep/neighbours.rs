@@ -34,6 +34,8 @@ struct Star {
     open: u32,
     /// Neighbours with such edges.
     open_neighbours: u32,
+    /// Whether an edge here was given up: it counts as one that waits for ever.
+    given_up: bool,
     /// The face of the first triangulation that it lies in.
     face: u32,
 }
@@ -45,7 +47,7 @@ pub struct Neighbours {
     faces: Faces,
     /// Edges that have come up since they were last asked for.
     fresh: Vec<Edge>,
-    /// Vertices whose last open edge was settled since they were last asked for.
+    /// Vertices that nothing is to be compared with, since they were last asked for.
     closed: Vec<Vertex>,
     /// Those that nothing will be near.
     #[cfg(test)]
@@ -98,7 +100,8 @@ impl Neighbours {
         std::mem::take(&mut self.fresh)
     }
 
-    /// Vertices whose last open edge was settled since the last call, and that got no other since.
+    /// Vertices whose last open edge was settled since the last call, and that got no other since;
+    /// of those with an edge that was given up, these that nothing will be near.
     pub fn take_closed(&mut self) -> Vec<Vertex> {
         let mut closed = std::mem::take(&mut self.closed);
         closed.retain(|v| self.stars[*v as usize].open == 0);
@@ -122,6 +125,14 @@ impl Neighbours {
         self.close(edge.1);
     }
 
+    /// Leaves an open edge, which will get no seed, as it is.
+    pub fn give_up(&mut self, edge: Edge) {
+        for end in [edge.0, edge.1] {
+            self.stars[end as usize].given_up = true;
+        }
+        self.settle(edge);
+    }
+
     /// One open edge less at a vertex.
     fn close(&mut self, vertex: Vertex) {
         let star = &mut self.stars[vertex as usize];
@@ -129,11 +140,12 @@ impl Neighbours {
         if star.open > 0 {
             return;
         }
-        self.closed.push(vertex);
-        let star = &self.stars[vertex as usize];
+        if !star.given_up {
+            self.closed.push(vertex);
+        }
         let mut done = std::mem::take(&mut self.around);
         done.clear();
-        if star.open_neighbours == 0 {
+        if self.stars[vertex as usize].open_neighbours == 0 {
             done.push(vertex);
         }
         for k in 0..self.stars[vertex as usize].neighbours.len() {
@@ -152,6 +164,9 @@ impl Neighbours {
 
     /// Drops a vertex that no open edge is at or around.
     fn forget(&mut self, vertex: Vertex) {
+        if self.stars[vertex as usize].given_up {
+            self.closed.push(vertex);
+        }
         for n in std::mem::take(&mut self.stars[vertex as usize].neighbours) {
             let star = &mut self.stars[n as usize];
             if let Some(at) = star.find(vertex) {
@@ -201,6 +216,7 @@ impl Neighbours {
             neighbours: around.clone(),
             open: around.len() as u32,
             open_neighbours: around.len() as u32,
+            given_up: false,
             face,
         });
         self.around = around;
@@ -463,6 +479,25 @@ mod tests {
             found.extend(star.neighbours.iter().map(|n| Edge::new(v, *n)));
         }
         assert_eq!(found, expected);
+    }
+
+    /// What was given up waits for ever: new neighbours of its ends are still compared with them.
+    #[test]
+    fn vertices_of_given_up_edges_stay() {
+        let (complex, _) = Complex::sphere(3);
+        let mut neighbours = Neighbours::new(complex.vertices(), &complex.simplices());
+        let mut open = neighbours.take_fresh();
+        let last = open.pop().expect("an octahedron has edges");
+        neighbours.give_up(open[0]);
+        open[1..].iter().for_each(|edge| neighbours.settle(*edge));
+        let given_up = [open[0].0, open[0].1];
+        let closed = neighbours.take_closed();
+        assert!(closed.iter().all(|v| !given_up.contains(v)));
+        assert!(!closed.contains(&last.0) && !closed.contains(&last.1));
+        neighbours.settle(last);
+        let mut all = [closed, neighbours.take_closed()].concat();
+        all.sort_unstable();
+        assert_eq!(all, [0, 1, 2, 3, 4, 5]);
     }
 
     /// The widest come first, to a factor of two, among alike ones by root; and those left out are

@@ -398,3 +398,13 @@ fn both_precisions_find_the_same_map() {
         "{counts:?}"
     );
 }
+
+/// Between guards, next to where a front ends, no gap is halved for ever: of a scene that has such
+/// places a few thousand trajectories cover the fronts.
+#[test]
+fn fronts_that_end_at_guards_need_few_seeds() {
+    let sweep = Sweep::of(&scene("moore_greitzer_unconstrained", &[]), F64);
+    let coverage = &sweep.report.coverage;
+    assert_eq!((coverage.uncovered, coverage.indistinguishable), (0, 0));
+    assert!((5000..10_000).contains(&sweep.count()), "{}", sweep.count());
+}
