@@ -43,8 +43,8 @@ pub struct LocalSolution {
     value: Vec<f64>,
     /// `[monomial][derivative by z_i, then V]` up to the degree kept.
     packed: Vec<f64>,
-    /// Second derivatives by `z_i`, `z_j`, j up to i, row by row.
-    second: Vec<Vec<f64>>,
+    /// `[monomial][second derivative by z_i, z_j, j up to i, row by row]`, up to their degree.
+    second: Vec<f64>,
     /// Largest sizes of the parts of V not kept, on the unit sphere of z, with their degrees.
     neglected: Vec<(i32, f64)>,
     /// V up to which controls stay inside their bounds and the ellipsoid inside the region.
@@ -176,8 +176,11 @@ impl LocalSolution {
         let mut kept = value;
         kept[basis.start[degree + 1]..].fill(0.0);
         let gradient = basis.gradient(&kept);
-        let second = (gradient.iter().enumerate())
+        let second: Vec<Vec<f64>> = (gradient.iter().enumerate())
             .flat_map(|(i, g)| basis.gradient(g).into_iter().take(i + 1))
+            .collect();
+        let second = (0..basis.start[degree - 1])
+            .flat_map(|k| second.iter().map(move |c| c[k]))
             .collect();
         let terms = basis.start[degree + 1];
         let packed = (0..terms)
@@ -243,16 +246,38 @@ impl LocalSolution {
 
     /// `V`, `dV/ds` and the Hessian (row-major) of the local solution at a deviation.
     pub fn expansion(&self, s: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
-        let n = s.len();
+        // Numbers of states and of pairs of them as constants.
+        match s.len() {
+            1 => self.expansion_of::<1, 1>(s),
+            2 => self.expansion_of::<2, 3>(s),
+            3 => self.expansion_of::<3, 6>(s),
+            4 => self.expansion_of::<4, 10>(s),
+            5 => self.expansion_of::<5, 15>(s),
+            6 => self.expansion_of::<6, 21>(s),
+            _ => self.expansion_of::<0, 0>(s),
+        }
+    }
+
+    /// [`LocalSolution::expansion`] of N states and M pairs, or any number where that is 0.
+    #[inline(always)]
+    fn expansion_of<const N: usize, const M: usize>(&self, s: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
+        let n = if N > 0 { N } else { s.len() };
+        let pairs = if N > 0 { M } else { n * (n + 1) / 2 };
         let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
         let (mut at, mut monomials) = (vec![0.0; 2 * n + 1], Vec::new());
-        self.fill(z.as_slice(), &mut monomials, &mut at);
-        let dot = |c: &[f64]| c.iter().zip(&monomials).map(|(c, m)| c * m).sum::<f64>();
+        self.fill_of::<N>(z.as_slice(), &mut monomials, &mut at);
+        let mut sums = vec![0.0; pairs];
+        let to = &mut sums[..pairs];
+        for (m, row) in monomials.iter().zip(self.second.chunks_exact(pairs)) {
+            for k in 0..pairs {
+                to[k] += row[k] * m;
+            }
+        }
         let mut second = DMatrix::zeros(n, n);
-        let mut entries = self.second.iter();
+        let mut entries = sums.into_iter();
         for i in 0..n {
             for j in 0..=i {
-                let value = entries.next().map_or(0.0, |c| dot(c));
+                let value = entries.next().unwrap_or(0.0);
                 second[(i, j)] = value;
                 second[(j, i)] = value;
             }
@@ -278,8 +303,9 @@ impl LocalSolution {
     /// `s'Ss/2`, by which the range of the local solution is told. At least `s'Ps/2`; the same but
     /// in some games.
     pub fn quadratic(&self, s: &[f64]) -> f64 {
-        let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
-        0.5 * z.norm_squared()
+        let columns = self.to_adjoint.as_slice().chunks_exact(s.len());
+        let z = columns.map(|column| column.iter().zip(s).map(|(l, s)| l * s).sum::<f64>());
+        0.5 * z.map(|z| z * z).sum::<f64>()
     }
 
     /// The seed `(s, p, V)` for a direction (a unit vector in the coordinates where S is the
@@ -323,16 +349,12 @@ impl LocalSolution {
     /// `(s, p, V)` of the local solution at `s = t z`.
     fn at(&self, z: &[f64]) -> Vec<f64> {
         let mut at = vec![0.0; 2 * z.len() + 1];
-        self.fill(z, &mut Vec::new(), &mut at);
+        self.fill_of::<0>(z, &mut Vec::new(), &mut at);
         at
     }
 
-    /// [`LocalSolution::at`], into memory that is there; `monomials` are those of z then.
-    fn fill(&self, z: &[f64], monomials: &mut Vec<f64>, to: &mut [f64]) {
-        self.fill_of::<0>(z, monomials, to);
-    }
-
-    /// [`LocalSolution::fill`] of N states, or any number where that is 0.
+    /// [`LocalSolution::at`] of N states, or any number where that is 0, into memory that is there;
+    /// `monomials` are those of z then.
     #[inline(always)]
     fn fill_of<const N: usize>(&self, z: &[f64], monomials: &mut Vec<f64>, to: &mut [f64]) {
         let n = if N > 0 { N } else { z.len() };

@@ -222,7 +222,7 @@ pub struct Scheme {
 impl Scheme {
     /// A job that comes with its matrix needs no first linearization: its first step is the
     /// tangent's.
-    pub(super) fn begin(&self, job: &mut Job) {
+    pub fn begin(&self, job: &mut Job) {
         if matches!(job.stage, Stage::Done) {
             job.stage = Stage::Linearize;
         }

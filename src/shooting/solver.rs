@@ -4,7 +4,9 @@ use super::device;
 use super::elimination::Factors;
 use super::newton::{Elimination, Failure, Goal, Integrated, Job, Linear, Scheme, Stage};
 use super::path::Path;
-use crate::backend::{Backend, BackendError, Deadline, Eliminator, Kernel, Run, Status};
+use crate::backend::{
+    Backend, BackendError, Deadline, Eliminator, Kernel, Run, Status, Trajectories,
+};
 use crate::model::{Method, Precision};
 use rayon::prelude::*;
 
@@ -46,6 +48,8 @@ pub struct Solver {
     pub deadline: Deadline,
     /// Solves first, on another device or in another precision; what it finds are guesses here.
     draft: Option<Box<Solver>>,
+    /// The last batch, whose memory the next one uses again.
+    last: Trajectories,
 }
 
 impl Solver {
@@ -72,6 +76,7 @@ impl Solver {
             work: Work::default(),
             deadline: Deadline::default(),
             draft: None,
+            last: Trajectories::default(),
         })
     }
 
@@ -127,23 +132,41 @@ impl Solver {
         for job in jobs.iter_mut().filter(|j| j.outcome.is_none()) {
             self.scheme.begin(job);
         }
-        loop {
-            let mut linearize: Vec<&mut Job> = Vec::new();
-            let mut attempt: Vec<&mut Job> = Vec::new();
-            for job in jobs.iter_mut() {
-                match job.stage {
-                    Stage::Linearize => linearize.push(job),
-                    Stage::Try(_) => attempt.push(job),
-                    Stage::Done => {}
-                }
+        while self.round(jobs.iter_mut())? {}
+        Ok(())
+    }
+
+    /// Whether problems are solved here alone, so that each may go on by itself: see
+    /// [`Self::round`].
+    pub fn is_alone(&self) -> bool {
+        self.draft.is_none()
+    }
+
+    /// One step of Newton's method of all jobs that are not done; whether there were any. Each job
+    /// must have begun (see [`Scheme::begin`]). What becomes of it does not depend on the others.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn round<'j>(
+        &mut self,
+        jobs: impl Iterator<Item = &'j mut Job>,
+    ) -> Result<bool, BackendError> {
+        let mut linearize: Vec<&mut Job> = Vec::new();
+        let mut attempt: Vec<&mut Job> = Vec::new();
+        for job in jobs {
+            match job.stage {
+                Stage::Linearize => linearize.push(job),
+                Stage::Try(_) => attempt.push(job),
+                Stage::Done => {}
             }
-            if linearize.is_empty() && attempt.is_empty() {
-                return Ok(());
-            }
-            self.work.rounds += 1;
-            self.attempt(&mut attempt)?;
-            self.linearize(&mut linearize)?;
         }
+        if linearize.is_empty() && attempt.is_empty() {
+            return Ok(false);
+        }
+        self.work.rounds += 1;
+        self.attempt(&mut attempt)?;
+        self.linearize(&mut linearize)?;
+        Ok(true)
     }
 
     fn linearize(&mut self, jobs: &mut [&mut Job]) -> Result<(), BackendError> {
@@ -423,7 +446,8 @@ impl Solver {
         } else {
             (&mut self.plain, &self.plain_runs[usize::from(fine)])
         };
-        let result = kernel.integrate(run, &seeds)?;
+        let result = &mut self.last;
+        kernel.integrate_into(run, &seeds, result)?;
         self.work.steps += result.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
         let groups = if varied {
             self.scheme.equations.groups()

@@ -3,6 +3,7 @@
 
 use crate::backend::BackendError;
 use crate::shooting::{Factors, Failure, Goal, Job, Path, Solved, Solver};
+use rayon::prelude::*;
 
 /// Steps that a way may take for each halving of the shortest one.
 const TRIES: f64 = 10.0;
@@ -191,12 +192,63 @@ pub fn follow(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendE
 }
 
 fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
+    let done = if solver.is_alone() {
+        each_by_itself(solver, ways)
+    } else {
+        in_step(solver, ways)
+    };
+    match done {
+        Err(BackendError::OutOfTime) => {
+            for way in ways.iter_mut().filter(|way| way.is_active()) {
+                way.failure = Some(Failure::OutOfTime);
+            }
+        }
+        done => done?,
+    }
+    for way in ways {
+        way.job.factors = Factors::default();
+    }
+    Ok(())
+}
+
+/// Each way tries its next problems as soon as its last ones are decided.
+fn each_by_itself(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
+    let mut trying: Vec<Vec<(Job, f64)>> = ways.iter().map(|_| Vec::new()).collect();
+    loop {
+        (ways.par_iter_mut().zip(&mut trying)).for_each(|(way, tried)| {
+            if !tried.is_empty() && is_decided(tried) {
+                way.learn(std::mem::take(tried));
+            }
+            if tried.is_empty() && way.is_active() {
+                *tried = way.next();
+                tried
+                    .iter_mut()
+                    .for_each(|(job, _)| solver.scheme.begin(job));
+            }
+        });
+        let jobs = trying.iter_mut().flatten().map(|(job, _)| job);
+        if !solver.round(jobs)? {
+            // All of what was begun may have failed at once.
+            let idle = |(way, tried): (&Approach, &Vec<_>)| tried.is_empty() && !way.is_active();
+            if ways.iter().zip(&trying).all(idle) {
+                return Ok(());
+            }
+        }
+    }
+}
+
+/// Whether it is known which of the problems, the longest step first, is the furthest that is
+/// solved: shorter ones need not be.
+fn is_decided(tried: &[(Job, f64)]) -> bool {
+    let open = (tried.iter()).find(|(job, _)| job.failure().is_none());
+    open.is_none_or(|(job, _)| job.solved().is_some())
+}
+
+/// All ways try their next problems together: they are solved in batches of several kinds.
+fn in_step(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
     loop {
         let active: Vec<usize> = (0..ways.len()).filter(|i| ways[*i].is_active()).collect();
         if active.is_empty() {
-            for way in ways {
-                way.job.factors = Factors::default();
-            }
             return Ok(());
         }
         let mut owners = Vec::new();
@@ -209,15 +261,7 @@ fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Bac
                 jobs.push(job);
             }
         }
-        match solver.solve(&mut jobs) {
-            Err(BackendError::OutOfTime) => {
-                for i in active {
-                    ways[i].failure = Some(Failure::OutOfTime);
-                }
-                continue;
-            }
-            done => done?,
-        }
+        solver.solve(&mut jobs)?;
         let mut tried = owners
             .into_iter()
             .zip(jobs.into_iter().zip(shares))

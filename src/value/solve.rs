@@ -25,9 +25,9 @@ const SEGMENT_SHARE: f64 = 0.1;
 const FINITE_RTOL: f64 = 1e-12;
 /// Smallest tolerance of segments.
 const LEAST_RTOL: f64 = 1e-13;
-/// Variation components that a lane of the CPU and an invocation of a GPU carry.
-const CPU_VARIATIONS: usize = 64;
-const GPU_VARIATIONS: usize = 16;
+/// Variation components that a lane of the CPU or an invocation of a GPU carries: more are slower,
+/// as their stages do not fit the nearest memory, and leave lanes idle in small batches.
+const VARIATIONS: usize = 16;
 /// Fold points nearer than this, in scaled units, are one.
 const SAME_FOLD: f64 = 1e-5;
 /// Newton's tolerance on a device in single precision, and the one of its segments.
@@ -308,10 +308,6 @@ pub fn goes_without_sweep(plan: &Plan) -> bool {
 
 /// What the CPU solves a plan's boundary value problems with.
 pub(super) fn scheme(plan: &Plan, tolerance: f64) -> Scheme {
-    scheme_of(plan, CPU_VARIATIONS, tolerance)
-}
-
-fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
     // The scales do not depend on how far a sweep goes; a game's are what they always were.
     let scale = if plan.game {
         plan.value_scale
@@ -319,7 +315,7 @@ fn scheme_of(plan: &Plan, variations: usize, tolerance: f64) -> Scheme {
         plan.corner_value()
     };
     Scheme {
-        equations: Equations::new(&plan.system, &plan.widths, scale, variations),
+        equations: Equations::new(&plan.system, &plan.widths, scale, VARIATIONS),
         end: End::new(&plan.system, plan.local.as_ref()),
         tolerance,
         duration: plan.segment_duration(),
@@ -349,12 +345,7 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
         Precision::F32 => (DRAFT_TOLERANCE, DRAFT_RTOL),
         Precision::F64 => (asked, rtol),
     };
-    let draft = Solver::new(
-        backend,
-        precision,
-        scheme_of(plan, GPU_VARIATIONS, tolerance),
-        rtol,
-    )?;
+    let draft = Solver::new(backend, precision, scheme(plan, tolerance), rtol)?;
     Ok(host.after(draft))
 }
 

@@ -4,6 +4,7 @@ use super::cell::{Cell, Corners};
 use super::{BEYOND, Cover, MOST_STATES};
 use crate::backend::BackendError;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 /// Widest gap, in widths of the region, between neighbouring first trajectories; and how many there
 /// are at most.
@@ -31,6 +32,16 @@ struct Gap {
     levels: usize,
 }
 
+/// Widest gaps between two trajectories (the lower seed first) at all levels: an edge has many
+/// simplices.
+type Gaps = FxHashMap<(u32, u32), f64>;
+
+/// The edges of a simplex, the lower seed first.
+fn edges(simplex: &[u32]) -> impl Iterator<Item = (u32, u32)> {
+    (simplex.iter().enumerate())
+        .flat_map(|(k, a)| simplex[k + 1..].iter().map(|b| (*a.min(b), *a.max(b))))
+}
+
 /// Simplices that are not divided further.
 #[derive(Default)]
 struct Divided {
@@ -56,10 +67,12 @@ impl Cover<'_> {
     pub(super) fn divide_first(&mut self, ceiling: f64) -> Result<(), BackendError> {
         let first: Vec<u32> = self.base.iter().flatten().copied().collect();
         self.fan.integrate(&first, BEYOND * ceiling)?;
-        let mut made = 0;
+        let (mut made, mut gaps) = (0, Gaps::default());
+        let base = self.base.clone();
         let Divided { mut done, folded } =
-            self.divide_gaps(self.base.clone(), ceiling, false, &mut made)?;
-        done.extend(self.divide_gaps(folded, ceiling, true, &mut made)?.done);
+            self.divide_gaps(base, ceiling, false, (&mut made, &mut gaps))?;
+        let behind = self.divide_gaps(folded, ceiling, true, (&mut made, &mut gaps))?;
+        done.extend(behind.done);
         (self.roots, self.divided_to) = (done, ceiling);
         Ok(())
     }
@@ -71,13 +84,14 @@ impl Cover<'_> {
         mut open: Vec<Vec<u32>>,
         ceiling: f64,
         behind_folds: bool,
-        made: &mut usize,
+        (made, known): (&mut usize, &mut Gaps),
     ) -> Result<Divided, BackendError> {
         let n = self.fan.plan.system.states;
         let mut divided = Divided::default();
         while !open.is_empty() {
+            self.measure(&open, ceiling, known);
             let gaps: Vec<Gap> = (open.par_iter())
-                .map(|simplex| self.widest(simplex, ceiling, behind_folds))
+                .map(|simplex| self.widest(simplex, ceiling, behind_folds, known))
                 .collect();
             let mut halved: Vec<(Vec<u32>, Gap, u32)> = Vec::new();
             for (simplex, gap) in open.into_iter().zip(gaps) {
@@ -124,9 +138,22 @@ impl Cover<'_> {
         Ok(divided)
     }
 
+    /// Adds the gaps of the simplices' edges that are not known.
+    fn measure(&self, simplices: &[Vec<u32>], ceiling: f64, known: &mut Gaps) {
+        let mut new: Vec<(u32, u32)> = (simplices.iter())
+            .flat_map(|simplex| edges(simplex))
+            .filter(|edge| !known.contains_key(edge))
+            .collect();
+        new.sort_unstable();
+        new.dedup();
+        let gap = |(a, b): (u32, u32)| self.fan.gap(a, b, usize::MAX, ceiling, AROUND);
+        let sizes: Vec<f64> = new.par_iter().map(|edge| gap(*edge)).collect();
+        known.extend(new.into_iter().zip(sizes));
+    }
+
     /// The widest gap between two trajectories of a simplex. Endless, between the two furthest
     /// apart, where all of them cost too much but what lies between may not.
-    fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool) -> Gap {
+    fn widest(&self, simplex: &[u32], ceiling: f64, behind_folds: bool, known: &Gaps) -> Gap {
         if let Some((a, b)) = (!self.stationary)
             .then(|| self.fan.hidden(simplex, ceiling))
             .flatten()
@@ -138,27 +165,16 @@ impl Cover<'_> {
                 levels: usize::MAX,
             };
         }
-        let all = self.widest_within(simplex, ceiling, usize::MAX);
+        let all = widest_of(simplex, usize::MAX, |edge| known[&edge]);
         if behind_folds || !looks_into_gaps(self.fan.plan.system.states) {
             return all;
         }
         match self.fan.fold(simplex) {
-            Some(levels) => self.widest_within(simplex, ceiling, levels),
+            Some(levels) => widest_of(simplex, levels, |(a, b)| {
+                self.fan.gap(a, b, levels, ceiling, AROUND)
+            }),
             None => all,
         }
-    }
-
-    /// The same at the first `levels`.
-    fn widest_within(&self, simplex: &[u32], ceiling: f64, levels: usize) -> Gap {
-        let gap = |a: u32, b: u32, size: f64| Gap { size, a, b, levels };
-        let pairs = (simplex.iter().enumerate())
-            .flat_map(|(k, a)| simplex[k + 1..].iter().map(move |b| (*a, *b)));
-        let gaps = pairs.map(|(a, b)| gap(a, b, self.fan.gap(a, b, levels, ceiling, AROUND)));
-        let wider = |widest: Gap, gap: Gap| match gap.size > widest.size {
-            true => gap,
-            false => widest,
-        };
-        gaps.fold(gap(0, 0, 0.0), wider)
     }
 
     /// The cells of the first simplices.
@@ -187,4 +203,15 @@ impl Cover<'_> {
             })
             .collect()
     }
+}
+
+/// The widest of a simplex's gaps at the first `levels`.
+fn widest_of(simplex: &[u32], levels: usize, size: impl Fn((u32, u32)) -> f64) -> Gap {
+    let gap = |(a, b), size| Gap { size, a, b, levels };
+    let wider = |widest: Gap, gap: Gap| match gap.size > widest.size {
+        true => gap,
+        false => widest,
+    };
+    let none = gap((0, 0), 0.0);
+    (edges(simplex).map(|edge| gap(edge, size(edge)))).fold(none, wider)
 }

@@ -24,6 +24,8 @@ const ANSWERS_DIFFER: f64 = 0.01;
 /// A flight is home where the estimated error of the local V, which is added to the cost, is this
 /// share of the cost.
 const HOME_SHARE: f64 = 1e-9;
+/// The local V at home is below this times the quadratic one.
+const MOST_VALUE: f64 = 4.0;
 /// A guess follows the flight until the expansion's error is this share of V; from there on the
 /// local solution.
 const SETTLED: f64 = 1e-2;
@@ -251,9 +253,14 @@ impl Course {
             (_, Some(time)) => (air.t >= time).then(|| self.end.at(&air.s).value)?,
             (Some(local), None) => {
                 let quadratic = local.quadratic(&home);
+                let within = |cost: f64| local.value_within(HOME_SHARE * cost, f64::INFINITY);
+                // Most are far from home, and the expansion takes a while.
+                if quadratic > within(air.cost.abs() + MOST_VALUE * quadratic) {
+                    return None;
+                }
                 let value = local.expansion(&home).0;
-                let near = local.value_within(HOME_SHARE * (air.cost + value).abs(), f64::INFINITY);
-                (quadratic <= near).then(|| value + local.error_where(quadratic))?
+                (quadratic <= within((air.cost + value).abs()))
+                    .then(|| value + local.error_where(quadratic))?
             }
             (None, None) => return None,
         };

@@ -103,21 +103,21 @@ impl Equations {
         if size > 0.0 { size } else { 1.0 }
     }
 
-    /// The vector at the beginning of a period under a law `(q, H)`; `unit` is the cost's.
+    /// Adds the vector at the beginning of a period under a law `(q, H)` to `seeds`; `unit` is the
+    /// cost's.
     pub fn seed(
         &self,
         s: &[f64],
-        (q, h): &(Vec<f64>, Vec<f64>),
-        duration: f64,
-        unit: f64,
-    ) -> Vec<f64> {
+        (q, h): (&[f64], &[f64]),
+        (duration, unit): (f64, f64),
+        seeds: &mut Vec<f64>,
+    ) {
         let size = self.size(s);
-        let mut seed: Vec<f64> = s.iter().map(|s| s / size).collect();
-        seed.push(0.0);
-        seed.extend(q.iter().map(|q| q / size));
-        seed.extend(Slope::packed(h, self.states));
-        seed.extend([duration, size, unit]);
-        seed
+        seeds.extend(s.iter().map(|s| s / size));
+        seeds.push(0.0);
+        seeds.extend(q.iter().map(|q| q / size));
+        seeds.extend(Slope::packed(h, self.states));
+        seeds.extend([duration, size, unit]);
     }
 
     /// State and cost of a period from the vector at its end.

@@ -1,11 +1,17 @@
-//! Flying: all flights that are in the air go as one batch, period by period.
+//! Flying: each thread flies some of the flights as one batch, period by period.
 
 use super::course::{Air, Course};
 use super::equations::Equations;
 use super::{Flight, FlightEnd, Flown, costate};
-use crate::backend::{BackendError, Deadline, Kernel, Status, batch_limit};
+use crate::backend::{BackendError, Deadline, Kernel, Legs, Status, Trajectories};
 use crate::sweep::Plan;
 use rayon::prelude::*;
+
+/// Parts that the flights of a thread are divided into, and flights of a part at least and at most:
+/// lanes are to be filled, and threads to be done together.
+const PARTS: usize = 4;
+const FEWEST: usize = 16;
+const MOST: usize = 256;
 
 /// Flies batches of flights of one scene.
 pub struct Pilot {
@@ -45,77 +51,105 @@ impl Pilot {
     /// Flies. A flight's result does not depend on the others.
     ///
     /// # Errors
-    /// Device failures only; a flight that does not come home has its [`FlightEnd`].
+    /// [`BackendError::OutOfTime`] only; a flight that does not come home has its [`FlightEnd`].
     pub fn fly(&mut self, flights: &[Flight<'_>]) -> Result<Vec<Flown>, BackendError> {
+        let legs = (self.kernel.legs(&self.equations.run))
+            .expect("a kernel of the CPU without stored samples has legs");
+        let crew = Crew {
+            legs: legs.as_ref(),
+            equations: &self.equations,
+            course: &self.course,
+            deadline: self.deadline,
+        };
+        // Each thread flies its own, with no waiting for the others.
+        let each = (flights.len() / (PARTS * rayon::current_num_threads())).clamp(FEWEST, MOST);
+        let parts: Vec<Log> = (flights.par_chunks(each))
+            .map(|part| crew.fly(part))
+            .collect::<Result<_, _>>()?;
+        let mut flown = Vec::with_capacity(flights.len());
+        for part in parts {
+            self.steps += part.steps;
+            self.periods += part.periods;
+            flown.extend(part.flown.into_iter().flatten());
+        }
+        Ok(flown)
+    }
+}
+
+/// What a thread flies with.
+struct Crew<'a> {
+    legs: &'a dyn Legs,
+    equations: &'a Equations,
+    course: &'a Course,
+    deadline: Deadline,
+}
+
+/// What became of some flights.
+struct Log {
+    flown: Vec<Option<Flown>>,
+    steps: u64,
+    periods: u64,
+}
+
+impl Crew<'_> {
+    fn fly(&self, flights: &[Flight<'_>]) -> Result<Log, BackendError> {
         let mut air: Vec<Air> = (flights.iter().enumerate())
             .map(|(k, flight)| Air::new(k, &flight.start, self.course.first))
             .collect();
-        let mut flown: Vec<Option<Flown>> = flights.iter().map(|_| None).collect();
+        let mut log = Log {
+            flown: flights.iter().map(|_| None).collect(),
+            steps: 0,
+            periods: 0,
+        };
+        let (mut seeds, mut batch) = (Vec::new(), Trajectories::default());
         loop {
-            let course = &self.course;
-            let asked: Vec<Option<Flown>> = (air.par_iter_mut())
-                .map(|air| course.steer(air, &flights[air.flight]))
-                .collect();
-            let mut asked = asked.into_iter();
-            air.retain(|air| match asked.next().flatten() {
+            air.retain_mut(|air| match self.course.steer(air, &flights[air.flight]) {
                 Some(result) => {
-                    flown[air.flight] = Some(result);
+                    log.flown[air.flight] = Some(result);
                     false
                 }
                 None => true,
             });
             if air.is_empty() {
-                break;
+                return Ok(log);
             }
-            let ends = self.advance(&mut air)?;
-            let mut ends = ends.into_iter();
-            air.retain(|air| match ends.next().flatten() {
-                Some(end) => {
-                    flown[air.flight] = Some(Flown::failed(end));
-                    false
-                }
-                None => true,
+            self.deadline.check()?;
+            self.advance(&mut air, &mut seeds, &mut batch);
+            log.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
+            log.periods += air.len() as u64;
+            let mut status = batch.status.iter();
+            air.retain(|air| {
+                let end = match status.next() {
+                    Some(Status::Reached) | None => return true,
+                    Some(Status::Guard) => FlightEnd::LeftGuard,
+                    Some(_) => FlightEnd::Failed,
+                };
+                log.flown[air.flight] = Some(Flown::failed(end));
+                false
             });
         }
-        Ok(flown.into_iter().flatten().collect())
     }
 
-    /// Integrates a period of all flights; the ends of those that failed.
-    fn advance(&mut self, air: &mut [Air]) -> Result<Vec<Option<FlightEnd>>, BackendError> {
-        self.deadline.check()?;
-        let dim = self.equations.spec.dim();
-        let mut ends = Vec::with_capacity(air.len());
-        for part in air.chunks_mut(batch_limit(dim, 0)) {
-            let turns: Vec<Vec<f64>> = part.iter().map(|air| self.course.turns(&air.s)).collect();
-            let seeds: Vec<f64> = (part.iter().zip(&turns))
-                .filter_map(|(air, turns)| Some(self.seed(air, air.law.as_ref()?, turns)))
-                .flatten()
-                .collect();
-            let batch = self.kernel.integrate(&self.equations.run, &seeds)?;
-            self.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
-            self.periods += part.len() as u64;
-            for (i, air) in part.iter_mut().enumerate() {
-                air.t = self.course.next(air).1;
-                let (s, cost) = self.equations.read(&batch.end[i * dim..][..dim]);
-                air.s = s.iter().zip(&turns[i]).map(|(s, turn)| s + turn).collect();
-                air.cost += cost;
-                air.periods += 1;
-                ends.push(match batch.status[i] {
-                    Status::Reached => None,
-                    Status::Guard => Some(FlightEnd::LeftGuard),
-                    _ => Some(FlightEnd::Failed),
-                });
-            }
+    /// Integrates a period of all flights.
+    fn advance(&self, air: &mut [Air], seeds: &mut Vec<f64>, batch: &mut Trajectories) {
+        seeds.clear();
+        // Whole periods are left out of the state.
+        let turns: Vec<Vec<f64>> = air.iter().map(|air| self.course.turns(&air.s)).collect();
+        for (air, turns) in air.iter().zip(&turns) {
+            let (q, h) = air.law.as_ref().expect("its law was asked");
+            let s: Vec<f64> = air.s.iter().zip(turns).map(|(s, turn)| s - turn).collect();
+            let q = costate(q, h, turns);
+            let (duration, _) = self.course.next(air);
+            (self.equations).seed(&s, (&q, h), (duration, self.course.unit(air)), seeds);
         }
-        Ok(ends)
-    }
-
-    /// The vector of a flight's next period, with whole periods left out of the state.
-    fn seed(&self, air: &Air, (q, h): &(Vec<f64>, Vec<f64>), turns: &[f64]) -> Vec<f64> {
-        let s: Vec<f64> = air.s.iter().zip(turns).map(|(s, turn)| s - turn).collect();
-        let moved = (costate(q, h, turns), h.clone());
-        let (duration, _) = self.course.next(air);
-        self.equations
-            .seed(&s, &moved, duration, self.course.unit(air))
+        self.legs.integrate(seeds, batch);
+        let ends = batch.end.chunks_exact(batch.dim);
+        for ((air, turns), end) in air.iter_mut().zip(turns).zip(ends) {
+            air.t = self.course.next(air).1;
+            let (s, cost) = self.equations.read(end);
+            air.s = s.iter().zip(&turns).map(|(s, turn)| s + turn).collect();
+            air.cost += cost;
+            air.periods += 1;
+        }
     }
 }

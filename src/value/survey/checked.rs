@@ -4,7 +4,7 @@
 use super::{Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
-use crate::value::extremal::expected_value;
+use crate::value::extremal::{expected_value, misfit};
 use crate::value::flight::{Claim, Pilot, along_itself, precise, tolerance, undercut};
 use crate::value::grow::{adjoint_rate, with_adjoints};
 
@@ -151,16 +151,18 @@ impl Survey<'_> {
     }
 
     /// Whether the way along a neighbour's solution may cost less than what was found: where the
-    /// search was not complete, or the neighbour's sheet leads one to expect it.
+    /// search was not complete and the two are not known to be of one smooth sheet, or the
+    /// neighbour's sheet leads one to expect it.
     fn may_undercut(&self, neighbour: usize, target: usize) -> bool {
         let (Some(from), Some(e)) = (self.lowest(neighbour), self.lowest(target)) else {
             return false;
         };
-        let from = &self.extremals[from];
+        let (from, e) = (&self.extremals[from], &self.extremals[e]);
+        let fits = || from.winding == e.winding && misfit(from, e, &self.scales) < 1.0;
         let there = self.state(target, from.winding);
-        !self.is_covered(target)
+        (!self.is_covered(target) && !fits())
             || expected_value(from, &there, &self.scales)
-                .is_some_and(|(value, change)| value < self.extremals[e].value() - CLEARLY * change)
+                .is_some_and(|(value, change)| value < e.value() - CLEARLY * change)
     }
 
     /// Flies from targets; those undercut, each with the cost and the way from the flight's path.

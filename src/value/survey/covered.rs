@@ -1,6 +1,7 @@
 //! Extremals from the cells of the swept manifold: what lies over a target is found whatever else
 //! is asked for.
 
+use super::spread::Effort;
 use super::{COHORT, MOST_SHEETS, Progress, SHORT, Survey, Task, Wanted, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
@@ -27,6 +28,8 @@ const MOST_AT_ONCE: usize = 12;
 pub(super) const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
+/// The same of a guess that is tried for the target alone.
+const AT_ONCE: f64 = 1.0;
 /// Where solutions leave guards, and trajectories go on behind these, others are looked for up to
 /// this many times the V of the cheapest of them.
 const PAST_CUT: f64 = 16.0;
@@ -199,7 +202,8 @@ impl Survey<'_> {
     }
 
     /// Tries guesses from trajectories near the targets: those that promise less than what is
-    /// known, the nearest first.
+    /// known, the nearest first. To states of a grid only those ways that lead there at once: what
+    /// is left is reached from their neighbours.
     fn try_near(
         &mut self,
         solver: &mut Solver,
@@ -225,10 +229,13 @@ impl Survey<'_> {
                 }
             }
             self.tried.extend(now.iter().map(|c| (c.target, c.seed())));
-            self.send_all(solver, cover, now.iter(), Start::Beside(FROM_POINT))?;
+            let (company, alone): (Vec<_>, Vec<_>) =
+                (now.into_iter()).partition(|c| self.targets.gridded[c.target]);
+            self.send_all(solver, cover, company.iter(), Start::Beside(AT_ONCE))?;
+            self.send_all(solver, cover, alone.iter(), Start::Beside(FROM_POINT))?;
             left = later;
         }
-        Ok(())
+        self.spread(solver, wanted, Effort::Leaps, &mut |_: &str, _, _| {})
     }
 
     /// Whether a guess may lead to something new that is of interest.

@@ -45,7 +45,7 @@ use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
 use rustc_hash::FxHashSet;
-use spread::Effort;
+use spread::{Effort, Followed};
 use std::sync::Mutex;
 
 /// Shortest steps, as shares of the way, where there is nothing near to start from.
@@ -128,6 +128,8 @@ pub struct Survey<'a> {
     flights: Vec<u32>,
     /// Cost of a flight along the answer itself, of listed states.
     flown: Vec<Option<f64>>,
+    /// Ways from targets to neighbours that were tried at once.
+    leapt: Followed,
     /// Trajectories from which ways to a target were tried.
     pub(super) tried: FxHashSet<(usize, u32)>,
     /// Cost from which on the search of each target was not complete.
@@ -195,6 +197,7 @@ impl<'a> Survey<'a> {
             bounds: vec![None; targets.len()],
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
+            leapt: Followed::default(),
             tried: FxHashSet::default(),
             stopped: false,
             direct: None,

@@ -6,7 +6,7 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::archive::{Archive, Index};
-use crate::value::extremal::misfit;
+use crate::value::extremal::{Extremal, misfit};
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::collections::BTreeMap;
 
@@ -15,9 +15,16 @@ const ATTEMPTS: usize = 3;
 /// Ways in the shortest steps that are tried to one target.
 const MOST_WAYS: usize = 4;
 
+/// Ways between solved targets that are followed at first for each part of a sheet, and how many
+/// times more each time.
+const FIRST_JOINS: usize = 1;
+const MORE_JOINS: usize = 8;
+
 /// How ways from neighbours are tried.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(in crate::low_level::value) enum Effort {
+    /// To states of a grid without a solution, from one to the next at once.
+    Leaps,
     /// Each sheet to each neighbour, in steps that are usual.
     Neighbours,
     /// To targets without a solution whose V is of interest however high, a few ways in the
@@ -29,10 +36,69 @@ impl Effort {
     /// Shortest step, as a share of the way.
     pub(in crate::low_level::value) fn least(self) -> f64 {
         match self {
+            Effort::Leaps => 1.0,
             Effort::Neighbours => 1.0 / 32.0,
             Effort::Patient => 1.0 / 4096.0,
         }
     }
+}
+
+/// How an extremal and those at a neighbouring target fit together.
+enum Fit {
+    /// It is on the sheet of one of them.
+    Joined,
+    /// It is on the sheet of none; the least misfit.
+    Apart(f64),
+}
+
+/// A way from an extremal to a neighbouring target.
+#[derive(Clone, Copy)]
+struct Way {
+    e: usize,
+    to: usize,
+    /// The extremal's sheet.
+    root: usize,
+    /// Square of its length, in widths.
+    far: f64,
+    misfit: f64,
+    /// Whether the target has no solution.
+    open: bool,
+}
+
+/// Ways that were followed, from an extremal to a target: once is enough.
+#[derive(Default)]
+pub(super) struct Followed {
+    ways: FxHashSet<(usize, usize)>,
+    ways_to: FxHashMap<usize, usize>,
+}
+
+impl Followed {
+    fn note(&mut self, e: usize, to: usize) {
+        self.ways.insert((e, to));
+        *self.ways_to.entry(to).or_insert(0) += 1;
+    }
+}
+
+/// The ways to follow now. To targets without a solution those from extremals found just now
+/// (from `found` on): what is behind an obstacle comes from the first that is reached there. Of those
+/// between solved targets so many a sheet, that fit best: two parts of a sheet are joined by one way,
+/// and all others between them need not be followed.
+fn ways_now(ways: Vec<Way>, found: usize, at_once: usize) -> Vec<Way> {
+    let (mut now, mut joining): (Vec<Way>, Vec<Way>) = ways.into_iter().partition(|way| way.open);
+    if now.iter().any(|way| way.e >= found) {
+        now.retain(|way| way.e >= found);
+    }
+    let key = |way: &Way| (way.root, way.to);
+    joining.sort_by(|a, b| a.misfit.total_cmp(&b.misfit).then(key(a).cmp(&key(b))));
+    let mut of: FxHashMap<usize, usize> = FxHashMap::default();
+    joining.retain(|way| {
+        let count = of.entry(way.root).or_insert(0);
+        *count += 1;
+        *count <= at_once
+    });
+    now.extend(joining);
+    now.sort_by_key(|way| (way.to, way.root));
+    now
 }
 
 impl Survey<'_> {
@@ -45,64 +111,97 @@ impl Survey<'_> {
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let neighbours = self.targets.neighbours();
-        // Ways that were followed, from an extremal to a target: once is enough.
-        let mut visited: FxHashSet<(usize, usize)> = FxHashSet::default();
-        let mut ways_to: FxHashMap<usize, usize> = FxHashMap::default();
+        // What leads nowhere at once does not later either.
+        let mut followed = match effort {
+            Effort::Leaps => std::mem::take(&mut self.leapt),
+            _ => Followed::default(),
+        };
+        let mut at_once = FIRST_JOINS;
+        // Extremals from here on were found by the last ways.
+        let mut before = usize::MAX;
         loop {
-            let mut tasks: BTreeMap<(usize, usize), (f64, Task)> = BTreeMap::new();
-            for e in 0..self.extremals.len() {
-                let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
-                for &to in &neighbours[target] {
-                    if self.is_refused(to)
-                        || visited.contains(&(e, to))
-                        || !self.same_base(target, to)
-                    {
-                        continue;
-                    }
-                    let tried = ways_to.get(&to).copied().unwrap_or(0);
-                    let limited = self.targets.limits[to] < f64::INFINITY;
-                    if effort == Effort::Patient && (tried >= MOST_WAYS || limited) {
-                        continue;
-                    }
-                    if self.joins(e, to) {
-                        continue;
-                    }
-                    if !self.wants(e, to, wanted) {
-                        continue;
-                    }
-                    // One way a sheet and target at a time: the shortest.
-                    let root = self.joined.root(e);
-                    let goal = self.state(to, winding);
-                    let path = &self.extremals[e].path;
-                    let far = (goal.iter().zip(path.start()).zip(&self.plan.widths))
-                        .map(|((g, s), w)| ((g - s) / w).powi(2))
-                        .sum::<f64>();
-                    if tasks
-                        .get(&(to, root))
-                        .is_none_or(|(shortest, _)| far < *shortest)
-                    {
-                        let task = Task {
-                            from: Some(e),
-                            target: to,
-                            winding,
-                            way: Approach::from_solution(path.clone(), goal, effort.least()),
-                        };
-                        tasks.insert((to, root), (far, task));
-                    }
+            let ways = self.ways(&neighbours, &mut followed, wanted, effort);
+            let now = ways_now(ways, before, at_once);
+            if now.is_empty() {
+                if effort == Effort::Leaps {
+                    self.leapt = followed;
                 }
-            }
-            if tasks.is_empty() {
                 return Ok(());
             }
-            let tasks: Vec<Task> = tasks.into_values().map(|(_, e)| e).collect();
-            for task in &tasks {
-                // Where a way leads nowhere, or to what is known, there is nothing left to do.
-                visited.extend(task.from.map(|from| (from, task.target)));
-                *ways_to.entry(task.target).or_insert(0) += 1;
-            }
+            at_once = at_once.saturating_mul(MORE_JOINS);
+            before = self.extremals.len();
+            let tasks: Vec<Task> = (now.into_iter())
+                .map(|Way { e, to, .. }| {
+                    // Where a way leads nowhere, or to what is known, there is nothing left to do.
+                    followed.note(e, to);
+                    let Extremal { winding, path, .. } = &self.extremals[e];
+                    let goal = self.state(to, *winding);
+                    Task {
+                        from: Some(e),
+                        target: to,
+                        winding: *winding,
+                        way: Approach::from_solution(path.clone(), goal, effort.least()),
+                    }
+                })
+                .collect();
             self.send(solver, tasks)?;
             progress("from neighbours", self.solved(), self.targets.len());
         }
+    }
+
+    /// Ways from extremals to neighbours that were not followed: of each sheet and target the
+    /// shortest.
+    fn ways(
+        &mut self,
+        neighbours: &[Vec<usize>],
+        followed: &mut Followed,
+        wanted: Wanted,
+        effort: Effort,
+    ) -> Vec<Way> {
+        let mut ways: BTreeMap<(usize, usize), Way> = BTreeMap::new();
+        for e in 0..self.extremals.len() {
+            let (target, winding) = (self.extremals[e].target, self.extremals[e].winding);
+            for &to in &neighbours[target] {
+                let leaps = self.targets.gridded[to] && self.at[to].is_empty();
+                if self.is_refused(to)
+                    || (effort == Effort::Leaps && !leaps)
+                    || followed.ways.contains(&(e, to))
+                    || !self.same_base(target, to)
+                {
+                    continue;
+                }
+                let tried = followed.ways_to.get(&to).copied().unwrap_or(0);
+                let limited = self.targets.limits[to] < f64::INFINITY;
+                if effort == Effort::Patient && (tried >= MOST_WAYS || limited) {
+                    continue;
+                }
+                let Fit::Apart(misfit) = self.fit(e, to) else {
+                    continue;
+                };
+                if !self.wants(e, to, wanted) {
+                    continue;
+                }
+                let root = self.joined.root(e);
+                let (goal, start) = (self.state(to, winding), self.extremals[e].path.start());
+                let far = (goal.iter().zip(start).zip(&self.plan.widths))
+                    .map(|((g, s), w)| ((g - s) / w).powi(2))
+                    .sum::<f64>();
+                let way = Way {
+                    e,
+                    to,
+                    root,
+                    far,
+                    misfit,
+                    open: self.at[to].is_empty(),
+                };
+                let shortest = ways.entry((to, root)).or_insert(way);
+                // The latest of equal ones.
+                if far <= shortest.far {
+                    *shortest = way;
+                }
+            }
+        }
+        ways.into_values().collect()
     }
 
     /// Whether an extremal is to be continued to a neighbouring target.
@@ -128,24 +227,29 @@ impl Survey<'_> {
 
     /// Whether an extremal fits one at a neighbouring target, and joins them.
     pub(in crate::low_level::value) fn joins(&mut self, e: usize, to: usize) -> bool {
+        matches!(self.fit(e, to), Fit::Joined)
+    }
+
+    /// The same with how far it is from fitting.
+    fn fit(&mut self, e: usize, to: usize) -> Fit {
         let root = self.joined.root(e);
-        let mut best: Option<(f64, usize)> = None;
+        let (mut least, mut nearest) = (f64::INFINITY, None);
         for q in 0..self.at[to].len() {
             let other = self.at[to][q];
             if self.extremals[other].winding != self.extremals[e].winding {
                 continue;
             }
             if self.joined.root(other) == root {
-                return true;
+                return Fit::Joined;
             }
             let m = misfit(&self.extremals[e], &self.extremals[other], &self.scales);
-            if best.is_none_or(|(b, _)| m < b) {
-                best = Some((m, other));
+            if nearest.is_none() || m < least {
+                (least, nearest) = (m, Some(other));
             }
         }
-        match best {
-            Some((m, other)) if m < 1.0 => self.join(e, other),
-            _ => false,
+        match nearest {
+            Some(other) if least < 1.0 && self.join(e, other) => Fit::Joined,
+            _ => Fit::Apart(least),
         }
     }
 
