@@ -6,6 +6,9 @@ use super::{
 };
 use std::borrow::Cow;
 
+/// A site's polynomial, if there is one, and the sites around that were asked for it.
+pub(super) type Fitted = (Option<Nodal>, Box<[u32]>);
+
 /// What one site says at a place.
 pub(super) struct LocalModel {
     pub site: usize,
@@ -41,10 +44,11 @@ impl ValueMap {
             if without.contains(&site) {
                 continue;
             }
+            let z = self.sites.z(site);
+            let beside = (SPREAD * distance).powi(2);
             let crowded = chosen.iter().any(|(other, _)| {
-                self.sites.consistent(site, *other)
-                    && distance_between(self.sites.z(site), self.sites.z(*other))
-                        < SPREAD * distance
+                square_between(z, self.sites.z(*other)) < beside
+                    && self.sites.consistent(site, *other)
             });
             if !crowded {
                 chosen.push((site, distance));
@@ -56,23 +60,25 @@ impl ValueMap {
         chosen
     }
 
+    /// A site's polynomial; `without` one of the others.
     pub(super) fn nodal(&self, site: usize, without: Option<usize>) -> Option<Cow<'_, Nodal>> {
-        match without {
-            Some(without) => self.fit(site, Some(without)).map(Cow::Owned),
-            None => (self.nodal[site]
-                .get_or_init(|| self.fit(site, None))
-                .as_ref())
-            .map(Cow::Borrowed),
+        let (of_all, asked) = self.nodal[site].get_or_init(|| self.fit(site, None));
+        // What was not asked has no part in it.
+        match without.filter(|without| asked.contains(&(*without as u32))) {
+            Some(without) => self.fit(site, Some(without)).0.map(Cow::Owned),
+            None => of_all.as_ref().map(Cow::Borrowed),
         }
     }
 
-    pub(super) fn fit(&self, site: usize, without: Option<usize>) -> Option<Nodal> {
+    /// The polynomial, and the sites around that were asked for it.
+    fn fit(&self, site: usize, without: Option<usize>) -> Fitted {
         let n = self.sites.n;
         let (z, v, q) = (self.sites.z(site), self.sites.v[site], self.sites.q(site));
         let most = nodal::wanted(n);
         let excluded: Vec<usize> = without.into_iter().chain([site]).collect();
         // Twice as many: some will belong to other sheets.
         let mut near = self.around(z, 2 * most, &excluded);
+        let asked = near.iter().map(|(k, _)| *k as u32).collect();
         near.retain(|(k, d)| *d > SAME && self.sites.consistent(site, *k));
         let agreed: Vec<bool> = (near.iter())
             .map(|(k, _)| {
@@ -99,13 +105,14 @@ impl ValueMap {
             })
             .collect();
         let fitted = nodal::fit(n, neighbours);
-        match self.sites.hessian.get(&site) {
+        let nodal = match self.sites.hessian.get(&site) {
             Some(hessian) => {
                 let reach = fitted.map_or(0.0, |f| f.reach);
                 Some(Nodal::of_hessian(n, hessian, reach))
             }
             None => fitted,
-        }
+        };
+        (nodal, asked)
     }
 
     pub(super) fn local_model(
@@ -242,9 +249,9 @@ pub(super) fn surrounded<'o>(n: usize, members: impl Iterator<Item = &'o LocalMo
 }
 
 pub(super) fn distance_between(a: &[f64], b: &[f64]) -> f64 {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| (a - b).powi(2))
-        .sum::<f64>()
-        .sqrt()
+    square_between(a, b).sqrt()
+}
+
+fn square_between(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }

@@ -53,8 +53,8 @@ use crate::sweep::{Choices, Plan, PlanError, spread_over};
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 pub(crate) use guarded::GUARD_ROUNDING;
 use guarded::Guarded;
-use local_models::{LocalModel, blend, distance_between, surrounded};
-use nodal::{Nodal, Prediction};
+use local_models::{Fitted, LocalModel, blend, distance_between, surrounded};
+use nodal::Prediction;
 use pieces::{Pieces, Said};
 use rayon::prelude::*;
 use sites::{Sites, UNLABELLED};
@@ -152,7 +152,7 @@ crate::opaque!(ValueMap);
 pub struct ValueMap {
     sites: Sites,
     tree: Box<dyn Nearest>,
-    nodal: Vec<OnceLock<Option<Nodal>>>,
+    nodal: Vec<OnceLock<Fitted>>,
     left_out: Vec<OnceLock<[f64; 3]>>,
     dominated: Vec<OnceLock<bool>>,
     contested: Vec<OnceLock<bool>>,

@@ -1,12 +1,8 @@
 //! The nearest of many points: by a tree of boxes, or in many dimensions by looking at all.
 //!
 //! The tree is made once and asked for tens of points at a time, thousands of times a second, by the
-//! value map: what is looked at lies in rows, and what is found in a heap of as many as are asked
-//! for. (An R-tree of a library, whose iterator keeps all boxes that it has seen in a heap, takes
-//! several times as long.)
-
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+//! value map: what is looked at lies in rows. (An R-tree of a library, whose iterator keeps all
+//! boxes that it has seen in a heap, takes several times as long.)
 
 /// Points of up to this many coordinates are searched by a tree.
 pub const MOST_DIMENSIONS: usize = 10;
@@ -41,24 +37,23 @@ struct Cell<const N: usize> {
     halves: [u32; 2],
 }
 
-/// A point with its distance; ordered by it, equal ones by index.
-#[derive(Clone, Copy, PartialEq)]
-struct Found {
-    distance: f64,
-    index: u32,
-}
+/// A point with its distance as one number, which is the lower the nearer it is, and of equal
+/// distances the lower its index.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Found(u128);
 
-impl Eq for Found {}
-
-impl Ord for Found {
-    fn cmp(&self, other: &Self) -> Ordering {
-        (self.distance.total_cmp(&other.distance)).then(self.index.cmp(&other.index))
+impl Found {
+    fn new(distance: f64, index: u32) -> Self {
+        // Bits of numbers that are not negative are in the order of the numbers.
+        Self(u128::from(distance.to_bits()) << 32 | u128::from(index))
     }
-}
 
-impl PartialOrd for Found {
-    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
-        Some(self.cmp(other))
+    fn distance(self) -> f64 {
+        f64::from_bits((self.0 >> 32) as u64)
+    }
+
+    fn index(self) -> usize {
+        (self.0 & u128::from(u32::MAX)) as usize
     }
 }
 
@@ -67,31 +62,52 @@ struct Search<const N: usize> {
     place: [f64; N],
     within: f64,
     most: usize,
-    /// The nearest within the distance; or the nearest one alone, while all are beyond it.
-    found: BinaryHeap<Found>,
+    /// Those within the distance: the nearest, and up to as many more.
+    found: Vec<Found>,
+    /// The nearest beyond it.
+    beyond: Option<Found>,
     /// Nothing further away is of use.
     bound: f64,
 }
 
 impl<const N: usize> Search<N> {
-    fn offer(&mut self, found: Found) {
-        if found.distance > self.bound {
+    fn offer(&mut self, distance: f64, index: u32) {
+        if distance > self.bound {
             return;
         }
-        let beyond = found.distance > self.within;
-        let full = self.found.len() >= if beyond { 1 } else { self.most };
-        match self.found.peek() {
-            // The first one within takes the place of one beyond.
-            Some(worst) if worst.distance > self.within && !beyond => self.found.clear(),
-            Some(worst) if full && found > *worst => return,
-            Some(_) if full => _ = self.found.pop(),
-            _ => {}
+        let found = Found::new(distance, index);
+        if distance > self.within {
+            self.beyond = Some(self.beyond.map_or(found, |nearest| nearest.min(found)));
+            self.bound = self.beyond.map_or(self.bound, Found::distance);
+            return;
+        }
+        if self.found.is_empty() {
+            self.bound = self.within;
         }
         self.found.push(found);
-        self.bound = match self.found.peek() {
-            Some(worst) if beyond || self.found.len() == self.most => worst.distance,
-            _ => self.within,
-        };
+        if self.found.len() == 2 * self.most {
+            self.cut();
+        }
+    }
+
+    /// Keeps the nearest alone. Now and then is cheaper than a heap that does it all the time.
+    fn cut(&mut self) {
+        if self.found.len() > self.most {
+            let (_, last, _) = self.found.select_nth_unstable(self.most - 1);
+            self.bound = last.distance();
+            self.found.truncate(self.most);
+        }
+    }
+
+    fn finished(mut self) -> Vec<(usize, f64)> {
+        self.cut();
+        self.found.sort_unstable();
+        if self.found.is_empty() {
+            self.found.extend(self.beyond);
+        }
+        (self.found.into_iter())
+            .map(|f| (f.index(), f.distance()))
+            .collect()
     }
 }
 
@@ -167,10 +183,7 @@ impl<const N: usize> Tree<N> {
                     square += (p[i] - search.place[i]).powi(2);
                 }
                 let distance = square.sqrt();
-                search.offer(Found {
-                    distance,
-                    index: *index,
-                });
+                search.offer(distance, *index);
             }
             return;
         }
@@ -196,15 +209,14 @@ impl<const N: usize> Nearest for Tree<N> {
             place: std::array::from_fn(|i| place[i]),
             within,
             most,
-            found: BinaryHeap::with_capacity(most.min(self.points.len()) + 1),
+            found: Vec::with_capacity((2 * most).min(self.points.len())),
+            beyond: None,
             bound: f64::INFINITY,
         };
         if most > 0 && !self.boxes.is_empty() {
             self.visit(0, &mut search);
         }
-        (search.found.into_sorted_vec().into_iter())
-            .map(|f| (f.index as usize, f.distance))
-            .collect()
+        search.finished()
     }
 }
 

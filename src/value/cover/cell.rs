@@ -2,7 +2,6 @@
 //! lies.
 
 use super::fan::Fan;
-use nalgebra::{Const, DimMin, SMatrix, SVector, ToTypenum};
 use smallvec::{SmallVec, smallvec};
 
 /// What there is of each seed of a cell, and of each corner: kept in place up to 3 states.
@@ -313,16 +312,13 @@ impl Corners {
     }
 
     /// Newton's method for the place: a cell of two layers is bilinear.
-    fn locate_in<const N: usize>(&self, state: &[f64], seeds: usize) -> Option<Place>
-    where
-        Const<N>: ToTypenum + DimMin<Const<N>, Output = Const<N>>,
-    {
+    fn locate_in<const N: usize>(&self, state: &[f64], seeds: usize) -> Option<Place> {
         let two = self.known.len() == 2 * seeds;
         let mut weights: OfSeeds<f64> = smallvec![1.0 / seeds as f64; seeds];
         let mut share = if two { 0.5 } else { 0.0 };
         for _ in 0..8 {
-            let mut residual = SVector::<f64, N>::from_column_slice(state);
-            let mut matrix = SMatrix::<f64, N, N>::zeros();
+            let mut step: [f64; N] = std::array::from_fn(|i| state[i]);
+            let mut matrix = [[0.0; N]; N];
             for i in 0..N {
                 let at = |corner: usize| self.x[corner * N + i];
                 let mixed = |seed: usize| {
@@ -333,18 +329,18 @@ impl Corners {
                     }
                 };
                 for (seed, weight) in weights.iter().enumerate() {
-                    residual[i] -= weight * mixed(seed);
+                    step[i] -= weight * mixed(seed);
                 }
                 for seed in 1..seeds {
-                    matrix[(i, seed - 1)] = mixed(seed) - mixed(0);
+                    matrix[i][seed - 1] = mixed(seed) - mixed(0);
                 }
                 if two {
-                    matrix[(i, N - 1)] = (0..seeds)
+                    matrix[i][N - 1] = (0..seeds)
                         .map(|q| weights[q] * (at(seeds + q) - at(q)))
                         .sum();
                 }
             }
-            let step = matrix.lu().solve(&residual)?;
+            solve_few(&mut matrix, &mut step);
             if !step.iter().all(|x| x.is_finite() && x.abs() < 1e3) {
                 return None;
             }
@@ -355,7 +351,7 @@ impl Corners {
             if two {
                 share += step[N - 1];
             }
-            if step.amax() < 1e-6 {
+            if step.iter().all(|x| x.abs() < 1e-6) {
                 break;
             }
         }
@@ -378,4 +374,49 @@ pub struct Place {
     pub share: f64,
     /// How far outside the cell it is, relative to the cell; 0 inside.
     pub outside: f64,
+}
+
+/// Solves a few linear equations by elimination with pivots; what is not finite where they are
+/// singular.
+fn solve_few<const N: usize>(matrix: &mut [[f64; N]; N], x: &mut [f64; N]) {
+    for k in 0..N {
+        let largest = (k..N).max_by(|i, j| matrix[*i][k].abs().total_cmp(&matrix[*j][k].abs()));
+        let pivot = largest.unwrap_or(k);
+        matrix.swap(k, pivot);
+        x.swap(k, pivot);
+        for i in k + 1..N {
+            let factor = matrix[i][k] / matrix[k][k];
+            for j in k + 1..N {
+                matrix[i][j] -= factor * matrix[k][j];
+            }
+            x[i] -= factor * x[k];
+        }
+    }
+    for k in (0..N).rev() {
+        for j in k + 1..N {
+            x[k] -= matrix[k][j] * x[j];
+        }
+        x[k] /= matrix[k][k];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::solve_few;
+
+    /// Against what the equations say, with a pivot that is 0 at first.
+    #[test]
+    fn a_few_equations_are_solved() {
+        let matrix = [[0.0, 2.0, -1.0], [3.0, 1.0, 0.5], [-1.0, 4.0, 2.0]];
+        let right = [1.0, -2.0, 5.0];
+        let mut x = right;
+        solve_few(&mut matrix.clone(), &mut x);
+        for (row, right) in matrix.iter().zip(right) {
+            let left: f64 = row.iter().zip(&x).map(|(a, x)| a * x).sum();
+            assert!((left - right).abs() < 1e-14, "{left} for {right}");
+        }
+        let mut none = [1.0, 1.0];
+        solve_few(&mut [[1.0, 2.0], [2.0, 4.0]], &mut none);
+        assert!(none.iter().any(|x| !x.is_finite()), "{none:?}");
+    }
 }
