@@ -140,12 +140,13 @@ impl Cover<'_> {
 
     /// Adds the gaps of the simplices' edges that are not known.
     fn measure(&self, simplices: &[Vec<u32>], ceiling: f64, known: &mut Gaps) {
-        let mut new: Vec<(u32, u32)> = (simplices.iter())
-            .flat_map(|simplex| edges(simplex))
-            .filter(|edge| !known.contains_key(edge))
-            .collect();
-        new.sort_unstable();
-        new.dedup();
+        let mut new: Vec<(u32, u32)> = Vec::new();
+        for edge in simplices.iter().flat_map(|simplex| edges(simplex)) {
+            known.entry(edge).or_insert_with(|| {
+                new.push(edge);
+                f64::NAN
+            });
+        }
         let gap = |(a, b): (u32, u32)| self.fan.gap(a, b, usize::MAX, ceiling, AROUND);
         let sizes: Vec<f64> = new.par_iter().map(|edge| gap(*edge)).collect();
         known.extend(new.into_iter().zip(sizes));
