@@ -36,6 +36,8 @@ struct Allocator<'a> {
     uses: Vec<Vec<u32>>,
     register: Vec<Option<Register>>,
     held: Vec<Option<Value>>,
+    /// When each register's value is needed next.
+    needed: Vec<u32>,
     /// The mask registers that comparisons are in which only blends read, and soon.
     mask: Vec<Option<Mask>>,
     next_mask: Mask,
@@ -62,6 +64,7 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
         uses,
         register: vec![None; ops.len()],
         held: vec![None; layout.set.registers()],
+        needed: vec![NEVER; layout.set.registers()],
         mask: vec![None; ops.len()],
         next_mask: 0,
         memory: vec![None; ops.len()],
@@ -277,6 +280,7 @@ impl Allocator<'_> {
         let from = self.home(v);
         self.asm.copy(r, from);
         self.held[r as usize] = Some(v);
+        self.needed[r as usize] = self.next_use(v);
         self.register[v as usize] = Some(r);
         r
     }
@@ -319,11 +323,11 @@ impl Allocator<'_> {
     /// The register whose value is needed last, free ones first, and when that is.
     fn victim(&self, busy: &[Register]) -> (Register, u32) {
         let mut best: Option<(Register, u32)> = None;
-        for r in 0..self.held.len() as u8 {
+        for (r, next) in self.needed.iter().enumerate() {
+            let (r, next) = (r as Register, *next);
             if busy.contains(&r) {
                 continue;
             }
-            let next = self.held[r as usize].map_or(NEVER, |v| self.next_use(v));
             if best.is_none_or(|(_, n)| next > n) {
                 best = Some((r, next));
             }
@@ -335,6 +339,7 @@ impl Allocator<'_> {
     fn room(&mut self, busy: &[Register]) -> Register {
         let (r, _) = self.victim(busy);
         if let Some(v) = self.held[r as usize].take() {
+            self.needed[r as usize] = NEVER;
             self.register[v as usize] = None;
             if self.next_use(v) != NEVER && self.memory[v as usize].is_none() {
                 let vector = self.vector();
@@ -358,6 +363,7 @@ impl Allocator<'_> {
 
     fn take(&mut self, r: Register, i: usize) {
         self.held[r as usize] = Some(i as Value);
+        self.needed[r as usize] = self.next_use(i as Value);
         self.register[i] = Some(r);
     }
 
@@ -365,6 +371,9 @@ impl Allocator<'_> {
     fn used(&mut self, values: &[Value]) {
         for &v in values {
             self.uses[v as usize].pop();
+            if let Some(r) = self.register[v as usize] {
+                self.needed[r as usize] = self.next_use(v);
+            }
             if self.next_use(v) == NEVER {
                 if let Some(r) = self.register[v as usize].take() {
                     self.held[r as usize] = None;
