@@ -140,6 +140,7 @@ impl Basis {
     /// Values of the first `count` monomials at a point, into memory that is there.
     pub fn monomials_into(&self, z: &[f64], count: usize, values: &mut Vec<f64>) {
         values.clear();
+        values.reserve(count);
         values.push(1.0);
         for (lower, v) in &self.factors[..count - 1] {
             values.push(values[*lower as usize] * z[*v as usize]);

@@ -131,26 +131,46 @@ impl Factors {
     /// start's condition; `None` where the first node's equations are singular. For a line, t comes
     /// last.
     pub fn solve(&self, defects: &[f64], end: &[f64], start: &Start<'_>) -> Option<Vec<f64>> {
-        let n = self.n;
+        match self.n {
+            1 => self.solve_of(1, defects, end, start),
+            2 => self.solve_of(2, defects, end, start),
+            3 => self.solve_of(3, defects, end, start),
+            4 => self.solve_of(4, defects, end, start),
+            6 => self.solve_of(6, defects, end, start),
+            n => self.solve_of(n, defects, end, start),
+        }
+    }
+
+    /// Inlined for each common n, as [`Factors::eliminate`] is.
+    #[inline(always)]
+    fn solve_of(
+        &self,
+        n: usize,
+        defects: &[f64],
+        end: &[f64],
+        start: &Start<'_>,
+    ) -> Option<Vec<f64>> {
         let m = 2 * n;
         let segments = defects.len() / m;
         let mut c = vec![0.0; (segments + 1) * n];
         // Backward: what each node's rows must give.
         for k in (0..=segments).rev() {
-            let mut right = vec![0.0; n];
+            let (here, after) = c[k * n..].split_at_mut(n);
             if k == segments {
-                right.copy_from_slice(end);
+                here.copy_from_slice(end);
             } else {
                 let w = &self.w[(k + 1) * n * m..][..n * m];
+                let defects = &defects[k * m..][..m];
                 for i in 0..n {
-                    let dot: f64 = (0..m).map(|j| w[i * m + j] * defects[k * m + j]).sum();
-                    right[i] = c[(k + 1) * n + i] - dot;
+                    let row = &w[i * m..][..m];
+                    let dot: f64 = (0..m).map(|j| row[j] * defects[j]).sum();
+                    here[i] = after[i] - dot;
                 }
             }
             let l = &self.l[k * n * n..][..n * n];
             for i in 0..n {
-                let below: f64 = (0..i).map(|j| l[i * n + j] * c[k * n + j]).sum();
-                c[k * n + i] = (right[i] - below) / l[i * n + i];
+                let below: f64 = (0..i).map(|j| l[i * n + j] * here[j]).sum();
+                here[i] = (here[i] - below) / l[i * n + i];
             }
         }
         let (first, t) = self.first_step(&c[..n], start)?;

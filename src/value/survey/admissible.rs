@@ -5,6 +5,7 @@ use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::sweep::guard_holds as holds;
 use crate::value::clearance::{PARTS, samples};
+use rayon::prelude::*;
 use std::sync::PoisonError;
 
 /// Where a margin is not convex it may be so many times lower than tangents tell.
@@ -75,18 +76,23 @@ impl Survey<'_> {
             return Ok(vec![true; paths.len()]);
         };
         let between = solver.between_nodes(paths, PARTS)?;
-        let mut valid = Vec::with_capacity(paths.len());
         // What is thin lies between the samples: flights to where a guard's margin seems to be
         // least, if that is below 0.
+        let this = &*self;
+        let looked_at: Vec<(bool, Vec<Path>)> = (paths.par_iter().zip(between))
+            .map(|(path, between)| {
+                let (times, nodes) = samples(path, &between);
+                let margins = guards.margins(&nodes);
+                let holds = this.hold(&nodes, &margins);
+                let doubts = holds.then(|| this.doubts(&times, &nodes, &margins));
+                (holds, doubts.unwrap_or_default())
+            })
+            .collect();
+        let mut valid = Vec::with_capacity(paths.len());
         let mut doubts = Vec::new();
-        for (k, (path, between)) in paths.iter().zip(between).enumerate() {
-            let (times, nodes) = samples(path, &between);
-            let margins = guards.margins(&nodes);
-            valid.push(self.hold(&nodes, &margins));
-            if valid[k] {
-                let parts = self.doubts(&times, &nodes, &margins);
-                doubts.extend(parts.into_iter().map(|part| (k, part)));
-            }
+        for (k, (holds, parts)) in looked_at.into_iter().enumerate() {
+            valid.push(holds);
+            doubts.extend(parts.into_iter().map(|part| (k, part)));
         }
         if doubts.is_empty() {
             return Ok(valid);
