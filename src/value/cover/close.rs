@@ -4,6 +4,7 @@
 use super::cell::{Cell, Corners, OfSeeds, Place};
 use super::{Cover, Open, STRAIGHT, holds};
 use crate::backend::BackendError;
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use smallvec::SmallVec;
 use std::collections::BTreeMap;
@@ -19,7 +20,11 @@ pub(super) struct Close {
     traces: OfSeeds<Vec<f64>>,
     /// Numbers of a point.
     stride: usize,
+    /// Of each part its corners, and bounds beyond which it holds no state.
+    parts: Vec<(Corners, Bounds)>,
 }
+
+type Bounds = SmallVec<[[f64; 2]; 3]>;
 
 /// A part of a cell, and where in it a state lies.
 pub(super) struct Part {
@@ -51,27 +56,42 @@ impl Part {
 }
 
 impl Close {
+    fn new(traces: OfSeeds<Vec<f64>>, stride: usize, widths: &[f64]) -> Self {
+        let mut this = Self {
+            traces,
+            stride,
+            parts: Vec::with_capacity(PARTS),
+        };
+        for part in 0..PARTS {
+            let corners = Corners::of_points(&this.points(part), widths);
+            let bounds = corners.bounds(widths.len(), ABOUT);
+            this.parts.push((corners, bounds));
+        }
+        this
+    }
+
     /// The part in which a state (in widths) lies, or of those about it the one that it is least
     /// outside.
-    pub fn locate(&self, state: &[f64], widths: &[f64]) -> Option<Part> {
-        let parts = (0..PARTS).filter_map(|part| {
-            let points: SmallVec<[&[f64]; 8]> = (part..=part + 1)
-                .flat_map(|at| self.traces.iter().map(move |trace| self.point(trace, at)))
-                .collect();
-            let corners = Corners::of_points(&points, widths);
-            if !holds(&corners.bounds(state.len(), ABOUT), state) {
-                return None;
-            }
-            let place = corners.locate(state, self.traces.len())?;
-            Some((part, points, corners, place))
-        });
-        let nearest = parts.min_by(|a, b| a.3.outside.total_cmp(&b.3.outside));
-        nearest.map(|(part, points, corners, place)| Part {
-            points: points.iter().map(|point| point.to_vec()).collect(),
-            corners,
+    pub fn locate(&self, state: &[f64]) -> Option<Part> {
+        let parts = (self.parts.iter().enumerate())
+            .filter(|(_, (_, bounds))| holds(bounds, state))
+            .filter_map(|(part, (corners, _))| {
+                Some((part, corners, corners.locate(state, self.traces.len())?))
+            });
+        let nearest = parts.min_by(|a, b| a.2.outside.total_cmp(&b.2.outside));
+        nearest.map(|(part, corners, place)| Part {
+            points: self.points(part).iter().map(|p| p.to_vec()).collect(),
+            corners: corners.clone(),
             share: (part as f64 + place.share) / PARTS as f64,
             place,
         })
+    }
+
+    /// The points of a part's corners.
+    fn points(&self, part: usize) -> SmallVec<[&[f64]; 8]> {
+        (part..=part + 1)
+            .flat_map(|at| self.traces.iter().map(move |trace| self.point(trace, at)))
+            .collect()
     }
 
     fn point<'t>(&self, trace: &'t [f64], at: usize) -> &'t [f64] {
@@ -85,7 +105,7 @@ impl Cover<'_> {
     /// # Errors
     /// Device failures only.
     pub(super) fn look_closely(&self, leaves: &[Open]) -> Result<Vec<Option<Close>>, BackendError> {
-        let turn: Vec<bool> = leaves.iter().map(|leaf| self.turns(leaf)).collect();
+        let turn: Vec<bool> = leaves.par_iter().map(|leaf| self.turns(leaf)).collect();
         let mut of_level: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
         for (leaf, _) in leaves.iter().zip(&turn).filter(|(_, turns)| **turns) {
             let seeds = of_level.entry(leaf.cell.level).or_default();
@@ -99,15 +119,16 @@ impl Cover<'_> {
                 traces.insert((*seed, level), trace);
             }
         }
+        let widths = &self.fan.plan.widths;
         let close = |cell: &Cell| {
             let traces = (cell.seeds.iter())
                 .map(|seed| traces.get(&(*seed, cell.level)).cloned())
                 .collect::<Option<OfSeeds<Vec<f64>>>>()?;
             let stride = 2 + 2 * self.fan.plan.system.states;
             let complete = traces.iter().all(|t| t.len() == (PARTS + 1) * stride);
-            complete.then_some(Close { traces, stride })
+            complete.then(|| Close::new(traces, stride, widths))
         };
-        let looked_at = leaves.iter().zip(turn);
+        let looked_at = leaves.par_iter().zip(turn);
         Ok(looked_at
             .map(|(leaf, turns)| turns.then(|| close(&leaf.cell)).flatten())
             .collect())

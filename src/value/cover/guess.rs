@@ -22,7 +22,7 @@ impl Cover<'_> {
     ) -> Option<Candidate> {
         let widths = &self.fan.plan.widths;
         let n = widths.len();
-        let part = close.and_then(|close| close.locate(&copy.x, widths));
+        let part = close.and_then(|close| close.locate(&copy.x));
         let part = part.filter(|part| part.place.outside <= OUTSIDE);
         let (place, first, points) = match &part {
             Some(part) => {

@@ -352,13 +352,18 @@ impl<'a> Cover<'a> {
     ) -> Result<Vec<Open>, BackendError> {
         let n = self.fan.plan.system.states;
         let leaf = LEAF[n];
+        let looked_at: Vec<_> = (open.par_iter())
+            .map(|Open { cell, corners, .. }| {
+                let longest = corners.longest(cell.seeds.len(), n);
+                let turn = || self.turn(cell, corners, longest.2);
+                let is_short = longest.2 <= LEAST;
+                let straight = is_short || (cell.bend <= STRAIGHT && turn() <= STRAIGHT);
+                (longest, corners.complete(), straight)
+            })
+            .collect();
         let mut split: Vec<Division> = Vec::new();
-        for open in open {
+        for (open, ((a, b, length), complete, straight)) in open.into_iter().zip(looked_at) {
             let seeds = &open.cell.seeds;
-            let (a, b, length) = open.corners.longest(seeds.len(), n);
-            let complete = open.corners.complete();
-            let turn = || self.turn(&open.cell, &open.corners, length);
-            let straight = length <= LEAST || (open.cell.bend <= STRAIGHT && turn() <= STRAIGHT);
             if complete && length <= leaf && straight {
                 leaves.push(open);
                 continue;
