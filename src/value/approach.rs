@@ -275,3 +275,42 @@ fn in_step(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendErro
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn job(outcome: Option<Result<(), Failure>>) -> (Job, f64) {
+        let mut job = Job::new(Path::new(&[0.0, 0.0]), Goal::State(vec![0.0]));
+        job.outcome = outcome.map(|outcome| {
+            outcome.map(|()| Solved {
+                value: 0.0,
+                slope: None,
+                fold: 1.0,
+                residual: 0.0,
+                t: 0.0,
+            })
+        });
+        (job, 0.5)
+    }
+
+    /// Of steps tried at once, the longest first, the furthest that is solved counts.
+    #[test]
+    fn shorter_steps_are_not_waited_for() {
+        let [open, solved, failed] = [None, Some(Ok(())), Some(Err(Failure::Diverged))];
+        for (steps, decided) in [
+            (vec![open], false),
+            (vec![solved], true),
+            (vec![failed], true),
+            (vec![solved, open, open], true),
+            (vec![failed, solved, open], true),
+            (vec![failed, failed, failed], true),
+            (vec![open, solved, solved], false),
+            (vec![failed, open, solved], false),
+            (vec![failed, failed, open], false),
+        ] {
+            let tried: Vec<_> = steps.iter().map(|outcome| job(*outcome)).collect();
+            assert_eq!(is_decided(&tried), decided, "{steps:?}");
+        }
+    }
+}

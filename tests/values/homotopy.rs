@@ -160,6 +160,48 @@ fn compressor_agrees_with_an_independent_solver() {
     }
 }
 
+/// States of a grid in four dimensions are reached from each other: in a few integrations of each
+/// trajectory, counted, and to what they are alone.
+#[test]
+fn a_grid_in_four_states_takes_little_work() {
+    /// Integrations of a whole trajectory a state, the search for cheaper ones and their flights
+    /// left out: a solution from a near one takes five or six.
+    const MOST_WORK: f64 = 9.0;
+    let swept = Swept::new(scene("moore_greitzer", &[]), 1024);
+    let axes = vec![
+        spaced(1.1, 1.4, 5),
+        spaced(1.7, 2.1, 5),
+        spaced(0.0, 0.08, 3),
+        spaced(1.45, 1.6, 3),
+    ];
+    let answers = swept.grid(axes);
+    let count = answers.targets.len();
+    assert_eq!(count, 225);
+    assert_eq!(answers.solved(), count);
+    assert_eq!(answers.sheets, 1);
+    let work = answers.evaluations as f64 / count as f64;
+    assert!(work <= MOST_WORK, "{work} integrations a state");
+    let some: Vec<usize> = (0..count).step_by(37).collect();
+    let points: Vec<f64> = (some.iter())
+        .flat_map(|target| answers.targets.state(*target).to_vec())
+        .collect();
+    let alone = swept.points(&points);
+    for (k, target) in some.into_iter().enumerate() {
+        let (company, own) = (answers.answer(target), given(&alone, k));
+        let (company, own) = (company.expect("solved"), own.expect("solved alone"));
+        let x = answers.targets.state(target);
+        let error = (company.value - own.value).abs();
+        assert!(
+            error <= PROMISED * own.value,
+            "V at {x:?}: {} and alone {}",
+            company.value,
+            own.value
+        );
+        let error = largest((0..4).map(|i| company.p[i] - own.p[i]));
+        assert!(error <= PROMISED * largest(own.p.to_vec()), "p at {x:?}");
+    }
+}
+
 /// The dissertation's example: from (1.2, Psi_c(1.2), 0.12) with the throttle at rest.
 #[test]
 fn compressor_trajectory() {

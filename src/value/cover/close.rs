@@ -26,6 +26,13 @@ pub(super) struct Close {
 
 type Bounds = SmallVec<[[f64; 2]; 3]>;
 
+/// Which of some leaves turn, and the trajectories of their seeds between levels.
+pub(super) struct Closely {
+    turn: Vec<bool>,
+    /// By seed and level.
+    traces: FxHashMap<(u32, usize), Vec<f64>>,
+}
+
 /// A part of a cell, and where in it a state lies.
 pub(super) struct Part {
     /// The points `(t, s, p, V)` of its corners.
@@ -100,11 +107,11 @@ impl Close {
 }
 
 impl Cover<'_> {
-    /// Looks closely at the leaves whose trajectories turn between their levels.
+    /// What is to be seen at the leaves whose trajectories turn between their levels.
     ///
     /// # Errors
     /// Device failures only.
-    pub(super) fn look_closely(&self, leaves: &[Open]) -> Result<Vec<Option<Close>>, BackendError> {
+    pub(super) fn look_closely(&self, leaves: &[Open]) -> Result<Closely, BackendError> {
         let turn: Vec<bool> = leaves.par_iter().map(|leaf| self.turns(leaf)).collect();
         let mut of_level: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
         for (leaf, _) in leaves.iter().zip(&turn).filter(|(_, turns)| **turns) {
@@ -119,19 +126,21 @@ impl Cover<'_> {
                 traces.insert((*seed, level), trace);
             }
         }
+        Ok(Closely { turn, traces })
+    }
+
+    /// A leaf in parts, if its trajectories turn.
+    pub(super) fn close(&self, closely: &Closely, leaf: usize, cell: &Cell) -> Option<Close> {
         let widths = &self.fan.plan.widths;
-        let close = |cell: &Cell| {
-            let traces = (cell.seeds.iter())
-                .map(|seed| traces.get(&(*seed, cell.level)).cloned())
-                .collect::<Option<OfSeeds<Vec<f64>>>>()?;
-            let stride = 2 + 2 * self.fan.plan.system.states;
-            let complete = traces.iter().all(|t| t.len() == (PARTS + 1) * stride);
-            complete.then(|| Close::new(traces, stride, widths))
-        };
-        let looked_at = leaves.par_iter().zip(turn);
-        Ok(looked_at
-            .map(|(leaf, turns)| turns.then(|| close(&leaf.cell)).flatten())
-            .collect())
+        if !closely.turn[leaf] {
+            return None;
+        }
+        let traces = (cell.seeds.iter())
+            .map(|seed| closely.traces.get(&(*seed, cell.level)).cloned())
+            .collect::<Option<OfSeeds<Vec<f64>>>>()?;
+        let stride = 2 + 2 * widths.len();
+        let complete = traces.iter().all(|t| t.len() == (PARTS + 1) * stride);
+        complete.then(|| Close::new(traces, stride, widths))
     }
 
     /// Whether a leaf's trajectories turn.

@@ -279,13 +279,13 @@ impl<'a> Cover<'a> {
             let left = (&mut leaves, &mut cells.uncovered);
             open = self.divide(open, left, (&copies, sought), ceiling)?;
         }
-        let close = self.look_closely(&leaves)?;
-        cells.candidates = leaves
-            .par_iter()
-            .zip(&close)
-            .flat_map_iter(|(leaf, close)| {
-                let copies = leaf.copies.iter().map(|c| &copies[*c as usize]);
-                copies.filter_map(|copy| self.candidate(leaf, close.as_ref(), copy, sought))
+        let closely = self.look_closely(&leaves)?;
+        let (this, all) = (&*self, copies.as_slice());
+        cells.candidates = (leaves.par_iter().enumerate())
+            .flat_map_iter(|(k, leaf)| {
+                let close = this.close(&closely, k, &leaf.cell);
+                let copies = leaf.copies.iter().map(move |c| &all[*c as usize]);
+                copies.filter_map(move |copy| this.candidate(leaf, close.as_ref(), copy, sought))
             })
             .collect();
         cells.candidates.sort_by(|a, b| {

@@ -304,3 +304,45 @@ impl Survey<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What was found just now leads on to where nothing is known; parts of a sheet are joined by
+    /// the ways that fit best.
+    #[test]
+    fn ways_are_followed_by_what_they_promise() {
+        let way = |e: usize, to: usize, misfit: f64, open: bool| Way {
+            e,
+            to,
+            root: e % 2,
+            far: 1.0,
+            misfit,
+            open,
+        };
+        let followed = |ways: &[Way], found: usize, at_once: usize| -> Vec<(usize, usize)> {
+            (ways_now(ways.to_vec(), found, at_once).iter())
+                .map(|way| (way.e, way.to))
+                .collect()
+        };
+        let open = [
+            way(1, 5, 0.0, true),
+            way(8, 6, 0.0, true),
+            way(2, 7, 0.0, true),
+        ];
+        assert_eq!(followed(&open, usize::MAX, 1), [(1, 5), (8, 6), (2, 7)]);
+        assert_eq!(followed(&open, 8, 1), [(8, 6)]);
+        let joining = [
+            way(0, 4, 3.0, false),
+            way(2, 5, 2.0, false),
+            way(1, 6, 9.0, false),
+            way(4, 7, f64::INFINITY, false),
+        ];
+        assert_eq!(followed(&joining, usize::MAX, 1), [(2, 5), (1, 6)]);
+        assert_eq!(followed(&joining, usize::MAX, 2), [(0, 4), (2, 5), (1, 6)]);
+        // One of those is followed though ways to what is open are waiting.
+        let both = [open[0], open[1], joining[0]];
+        assert_eq!(followed(&both, 8, 1), [(0, 4), (8, 6)]);
+    }
+}
