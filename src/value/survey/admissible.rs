@@ -78,13 +78,12 @@ impl Survey<'_> {
         let between = solver.between_nodes(paths, PARTS)?;
         // What is thin lies between the samples: flights to where a guard's margin seems to be
         // least, if that is below 0.
-        let this = &*self;
         let looked_at: Vec<(bool, Vec<Path>)> = (paths.par_iter().zip(between))
             .map(|(path, between)| {
                 let (times, nodes) = samples(path, &between);
                 let margins = guards.margins(&nodes);
-                let holds = this.hold(&nodes, &margins);
-                let doubts = holds.then(|| this.doubts(&times, &nodes, &margins));
+                let holds = self.hold(&nodes, &margins);
+                let doubts = holds.then(|| self.doubts(&times, &nodes, &margins));
                 (holds, doubts.unwrap_or_default())
             })
             .collect();
