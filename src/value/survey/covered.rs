@@ -28,8 +28,6 @@ const MOST_AT_ONCE: usize = 12;
 pub(super) const FROM_CELL: f64 = 1.0 / 16.0;
 /// The same from a trajectory near the target.
 const FROM_POINT: f64 = 1.0 / 16.0;
-/// The same of a guess that is tried for the target alone.
-const AT_ONCE: f64 = 1.0;
 /// Where solutions leave guards, and trajectories go on behind these, others are looked for up to
 /// this many times the V of the cheapest of them.
 const PAST_CUT: f64 = 16.0;
@@ -202,8 +200,7 @@ impl Survey<'_> {
     }
 
     /// Tries guesses from trajectories near the targets: those that promise less than what is
-    /// known, the nearest first. To states of a grid only those ways that lead there at once: what
-    /// is left is reached from their neighbours.
+    /// known, the nearest first. States of a grid are reached from each other before.
     fn try_near(
         &mut self,
         solver: &mut Solver,
@@ -212,6 +209,7 @@ impl Survey<'_> {
         ceiling: f64,
         wanted: Wanted,
     ) -> Result<(), BackendError> {
+        self.spread(solver, wanted, Effort::Leaps, &mut |_: &str, _, _| {})?;
         left.retain(|c| {
             c.expected <= ABOVE * ceiling && !self.tried.contains(&(c.target, c.seed()))
         });
@@ -229,13 +227,10 @@ impl Survey<'_> {
                 }
             }
             self.tried.extend(now.iter().map(|c| (c.target, c.seed())));
-            let (company, alone): (Vec<_>, Vec<_>) =
-                (now.into_iter()).partition(|c| self.targets.gridded[c.target]);
-            self.send_all(solver, cover, company.iter(), Start::Beside(AT_ONCE))?;
-            self.send_all(solver, cover, alone.iter(), Start::Beside(FROM_POINT))?;
+            self.send_all(solver, cover, now.iter(), Start::Beside(FROM_POINT))?;
             left = later;
         }
-        self.spread(solver, wanted, Effort::Leaps, &mut |_: &str, _, _| {})
+        Ok(())
     }
 
     /// Whether a guess may lead to something new that is of interest.
