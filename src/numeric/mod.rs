@@ -1,6 +1,7 @@
-//! Small numerical tools that several rooms share: cubics, quantiles, random numbers, numbers as
-//! text.
+//! Small numerical tools that several rooms share: cubics, a few linear equations, quantiles,
+//! random numbers, numbers as text.
 
+pub mod dense;
 pub mod digits;
 pub mod hermite;
 pub mod quantile;

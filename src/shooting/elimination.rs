@@ -18,6 +18,8 @@
 //! `W_0 = (A B)` tells the slope `dp/ds = -B^-1 A` of the sheet at the target; B is singular
 //! exactly on a fold.
 
+use crate::numeric::dense::solve_dense;
+
 /// Elimination of one trajectory, kept for further right-hand sides.
 #[derive(Clone, Debug, Default)]
 pub struct Factors {
@@ -321,33 +323,4 @@ fn orthonormalize(n: usize, rows: &mut [f64], l: &mut [f64]) {
             *x /= norm;
         }
     }
-}
-
-/// Solves `a x = b` by elimination with row exchanges; x in place of b. `None` where a pivot is 0
-/// or not finite.
-fn solve_dense(n: usize, a: &mut [f64], b: &mut [f64]) -> Option<()> {
-    for k in 0..n {
-        let pivot = (k..n).max_by(|i, j| a[i * n + k].abs().total_cmp(&a[j * n + k].abs()))?;
-        if !(a[pivot * n + k].abs() > 0.0 && a[pivot * n + k].is_finite()) {
-            return None;
-        }
-        if pivot != k {
-            for j in 0..n {
-                a.swap(k * n + j, pivot * n + j);
-            }
-            b.swap(k, pivot);
-        }
-        for i in k + 1..n {
-            let f = a[i * n + k] / a[k * n + k];
-            for j in k..n {
-                a[i * n + j] -= f * a[k * n + j];
-            }
-            b[i] -= f * b[k];
-        }
-    }
-    for k in (0..n).rev() {
-        let rest: f64 = (k + 1..n).map(|j| a[k * n + j] * b[j]).sum();
-        b[k] = (b[k] - rest) / a[k * n + k];
-    }
-    Some(())
 }

@@ -2,6 +2,7 @@
 //! lies.
 
 use super::fan::Fan;
+use crate::numeric::dense::solve_dense;
 use smallvec::{SmallVec, smallvec};
 
 /// What there is of each seed of a cell, and of each corner: kept in place up to 3 states.
@@ -340,7 +341,7 @@ impl Corners {
                         .sum();
                 }
             }
-            solve_few(&mut matrix, &mut step);
+            solve_dense(N, matrix.as_flattened_mut(), &mut step)?;
             if !step.iter().all(|x| x.is_finite() && x.abs() < 1e3) {
                 return None;
             }
@@ -374,49 +375,4 @@ pub struct Place {
     pub share: f64,
     /// How far outside the cell it is, relative to the cell; 0 inside.
     pub outside: f64,
-}
-
-/// Solves a few linear equations by elimination with pivots; what is not finite where they are
-/// singular.
-fn solve_few<const N: usize>(matrix: &mut [[f64; N]; N], x: &mut [f64; N]) {
-    for k in 0..N {
-        let largest = (k..N).max_by(|i, j| matrix[*i][k].abs().total_cmp(&matrix[*j][k].abs()));
-        let pivot = largest.unwrap_or(k);
-        matrix.swap(k, pivot);
-        x.swap(k, pivot);
-        for i in k + 1..N {
-            let factor = matrix[i][k] / matrix[k][k];
-            for j in k + 1..N {
-                matrix[i][j] -= factor * matrix[k][j];
-            }
-            x[i] -= factor * x[k];
-        }
-    }
-    for k in (0..N).rev() {
-        for j in k + 1..N {
-            x[k] -= matrix[k][j] * x[j];
-        }
-        x[k] /= matrix[k][k];
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::solve_few;
-
-    /// Against what the equations say, with a pivot that is 0 at first.
-    #[test]
-    fn a_few_equations_are_solved() {
-        let matrix = [[0.0, 2.0, -1.0], [3.0, 1.0, 0.5], [-1.0, 4.0, 2.0]];
-        let right = [1.0, -2.0, 5.0];
-        let mut x = right;
-        solve_few(&mut matrix.clone(), &mut x);
-        for (row, right) in matrix.iter().zip(right) {
-            let left: f64 = row.iter().zip(&x).map(|(a, x)| a * x).sum();
-            assert!((left - right).abs() < 1e-14, "{left} for {right}");
-        }
-        let mut none = [1.0, 1.0];
-        solve_few(&mut [[1.0, 2.0], [2.0, 4.0]], &mut none);
-        assert!(none.iter().any(|x| !x.is_finite()), "{none:?}");
-    }
 }
