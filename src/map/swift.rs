@@ -190,6 +190,8 @@ impl<T: Real> Swift<T> {
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => unsafe { avx512(self, x, second, room, &mut tell) },
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => self.all::<true>(x, second, room, &mut tell),
         }
     }
 

@@ -50,12 +50,12 @@ impl Gaps {
     /// Widest gap over the fronts that both trajectories reach, where the piece of front between
     /// them may meet the region.
     fn widest(&self, a: &[f32], b: &[f32], common: usize) -> f32 {
-        #[cfg(target_arch = "x86_64")]
-        if self.simd != Simd::Baseline {
-            // SAFETY: the wider sets have AVX2.
-            return unsafe { widest_avx2(self, a, b, common) };
+        match self.simd {
+            // SAFETY: both sets have AVX2, and were detected.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 | Simd::Avx512 => unsafe { widest_avx2(self, a, b, common) },
+            _ => self.widest_of(a, b, common),
         }
-        self.widest_of(a, b, common)
     }
 
     #[inline(always)]

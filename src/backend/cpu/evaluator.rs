@@ -71,6 +71,8 @@ impl Evaluator {
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => unsafe { avx512(self, points, stride, values) },
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => self.chunk::<true>(points, stride, values),
         }
     }
 

@@ -6,7 +6,6 @@ mod block;
 mod code;
 mod decide;
 mod evaluator;
-#[cfg(target_arch = "x86_64")]
 mod jit;
 pub(crate) mod lanes;
 mod peak;
@@ -35,6 +34,8 @@ pub enum Simd {
     Avx2,
     #[cfg(target_arch = "x86_64")]
     Avx512,
+    #[cfg(not(target_arch = "x86_64"))]
+    Neon,
 }
 
 impl Simd {
@@ -45,6 +46,8 @@ impl Simd {
         Simd::Avx2,
         #[cfg(target_arch = "x86_64")]
         Simd::Avx512,
+        #[cfg(not(target_arch = "x86_64"))]
+        Simd::Neon,
     ];
 
     /// The widest set this machine has.
@@ -63,6 +66,8 @@ impl Simd {
             Simd::Avx2 => jit::Set::Avx2.is_here(),
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => jit::Set::Avx512.is_here(),
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => jit::Set::Neon.is_here(),
         }
     }
 
@@ -73,6 +78,8 @@ impl Simd {
             Simd::Avx2 => "AVX2",
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => "AVX-512",
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => "NEON",
         }
     }
 }
@@ -138,13 +145,8 @@ impl Cpu {
 
 /// Whether machine code can be made and run here.
 fn jit_works() -> bool {
-    #[cfg(target_arch = "x86_64")]
-    {
-        static WORKS: std::sync::LazyLock<bool> = std::sync::LazyLock::new(jit::works);
-        *WORKS
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    false
+    static WORKS: std::sync::LazyLock<bool> = std::sync::LazyLock::new(jit::works);
+    *WORKS
 }
 
 impl Default for Cpu {
@@ -373,6 +375,8 @@ impl Job<'_> {
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => unsafe { avx512::<T, W>(self, out) },
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => self.integrate::<T, W, true>(out),
         }
     }
 

@@ -47,6 +47,12 @@ fn run(simd: Simd, precision: Precision) -> f64 {
         (Simd::Avx512, Precision::F64) => unsafe { x86::avx512_f64() },
         #[cfg(target_arch = "x86_64")]
         (Simd::Avx512, Precision::F32) => unsafe { x86::avx512_f32() },
+        #[cfg(target_arch = "aarch64")]
+        (Simd::Neon, Precision::F64) => unsafe { arm::neon_f64() },
+        #[cfg(target_arch = "aarch64")]
+        (Simd::Neon, Precision::F32) => unsafe { arm::neon_f32() },
+        #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+        (Simd::Neon, _) => unreachable!("no machine of this kind has it"),
     }
 }
 
@@ -64,60 +70,84 @@ fn plain<T: Real, const W: usize>() -> f64 {
     (2 * LINKS * W) as f64
 }
 
+/// Written with intrinsics: what the compiler makes of loops differs from one length to another.
+macro_rules! chains {
+    (#[$features:meta] $name:ident, $real:ty, $lanes:expr, $splat:ident, $multiply_add:expr) => {
+        #[$features]
+        pub fn $name() -> f64 {
+            let (a, b) = (
+                $splat(black_box(FACTOR as $real)),
+                $splat(black_box(SUMMAND as $real)),
+            );
+            let mut x = [b; CHAINS];
+            for _ in 0..LINKS {
+                for x in &mut x {
+                    *x = $multiply_add(*x, a, b);
+                }
+            }
+            black_box(x);
+            (2 * LINKS * CHAINS * $lanes) as f64
+        }
+    };
+}
+
+#[cfg(target_arch = "aarch64")]
+mod arm {
+    use super::{CHAINS, FACTOR, LINKS, SUMMAND};
+    use std::arch::aarch64::*;
+    use std::hint::black_box;
+
+    chains!(
+        #[target_feature(enable = "neon")]
+        neon_f64,
+        f64,
+        2,
+        vdupq_n_f64,
+        |x, a, b| vfmaq_f64(b, x, a)
+    );
+    chains!(
+        #[target_feature(enable = "neon")]
+        neon_f32,
+        f32,
+        4,
+        vdupq_n_f32,
+        |x, a, b| vfmaq_f32(b, x, a)
+    );
+}
+
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::{CHAINS, FACTOR, LINKS, SUMMAND};
     use std::arch::x86_64::*;
     use std::hint::black_box;
 
-    /// Written with intrinsics: what the compiler makes of loops differs from one length to
-    /// another.
-    macro_rules! chains {
-        ($name:ident, $features:literal, $real:ty, $lanes:expr, $splat:ident, $multiply_add:ident) => {
-            #[target_feature(enable = $features)]
-            pub fn $name() -> f64 {
-                let (a, b) = (
-                    $splat(black_box(FACTOR as $real)),
-                    $splat(black_box(SUMMAND as $real)),
-                );
-                let mut x = [b; CHAINS];
-                for _ in 0..LINKS {
-                    for x in &mut x {
-                        *x = $multiply_add(*x, a, b);
-                    }
-                }
-                black_box(x);
-                (2 * LINKS * CHAINS * $lanes) as f64
-            }
-        };
-    }
     chains!(
+        #[target_feature(enable = "avx2,fma")]
         avx2_f64,
-        "avx2,fma",
         f64,
         4,
         _mm256_set1_pd,
         _mm256_fmadd_pd
     );
     chains!(
+        #[target_feature(enable = "avx2,fma")]
         avx2_f32,
-        "avx2,fma",
         f32,
         8,
         _mm256_set1_ps,
         _mm256_fmadd_ps
     );
     chains!(
+        #[target_feature(enable = "avx512f")]
         avx512_f64,
-        "avx512f",
         f64,
         8,
         _mm512_set1_pd,
         _mm512_fmadd_pd
     );
     chains!(
+        #[target_feature(enable = "avx512f")]
         avx512_f32,
-        "avx512f",
         f32,
         16,
         _mm512_set1_ps,

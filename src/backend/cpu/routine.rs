@@ -2,7 +2,6 @@
 
 use super::Simd;
 use super::code::Recorder;
-#[cfg(target_arch = "x86_64")]
 use super::jit::{Executable, Machine, Set};
 use super::lanes::{Interpreted, Lanes};
 use super::real::Real;
@@ -10,7 +9,6 @@ use crate::model::Precision;
 
 /// Code for frames of a certain number of lanes.
 pub enum Routine {
-    #[cfg(target_arch = "x86_64")]
     Compiled(Executable),
     Interpreted(Interpreted),
 }
@@ -24,7 +22,6 @@ impl Routine {
         width: usize,
         record: impl Fn(&mut Recorder),
     ) -> Self {
-        #[cfg(target_arch = "x86_64")]
         if let Some(set) = compile.and_then(set) {
             let mut recorder = Recorder::new(precision, true);
             record(&mut recorder);
@@ -32,7 +29,6 @@ impl Routine {
                 return Routine::Compiled(executable);
             }
         }
-        let _ = (compile, width);
         let mut recorder = Recorder::new(precision, false);
         record(&mut recorder);
         Routine::Interpreted(Interpreted::new(recorder))
@@ -41,7 +37,6 @@ impl Routine {
     /// Whether it is machine code.
     pub fn is_compiled(&self) -> bool {
         match self {
-            #[cfg(target_arch = "x86_64")]
             Routine::Compiled(_) => true,
             Routine::Interpreted(_) => false,
         }
@@ -50,25 +45,26 @@ impl Routine {
     /// The code with values for its parameters and room to work; one a thread.
     pub fn session<T: Real, const W: usize>(&self, parameters: &[T]) -> Session<'_, T, W> {
         match self {
-            #[cfg(target_arch = "x86_64")]
             Routine::Compiled(executable) => Session::Compiled(executable.machine(parameters)),
             Routine::Interpreted(code) => Session::Interpreted(code, code.registers(parameters)),
         }
     }
 }
 
-#[cfg(target_arch = "x86_64")]
 fn set(simd: Simd) -> Option<Set> {
     match simd {
         Simd::Baseline => None,
+        #[cfg(target_arch = "x86_64")]
         Simd::Avx2 => Some(Set::Avx2),
+        #[cfg(target_arch = "x86_64")]
         Simd::Avx512 => Some(Set::Avx512),
+        #[cfg(not(target_arch = "x86_64"))]
+        Simd::Neon => Some(Set::Neon),
     }
 }
 
 /// A [`Routine`] at work.
 pub enum Session<'a, T, const W: usize> {
-    #[cfg(target_arch = "x86_64")]
     Compiled(Machine<'a>),
     Interpreted(&'a Interpreted, Vec<Lanes<T, W>>),
 }
@@ -77,7 +73,6 @@ impl<T: Real, const W: usize> Session<'_, T, W> {
     #[inline(always)]
     pub fn run<const FMA: bool>(&mut self, frame: &mut [Lanes<T, W>]) {
         match self {
-            #[cfg(target_arch = "x86_64")]
             Session::Compiled(machine) => machine.run(frame),
             Session::Interpreted(code, file) => code.run::<T, W, FMA>(file, frame),
         }

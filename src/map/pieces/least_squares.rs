@@ -66,6 +66,8 @@ impl Equations {
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => unsafe { avx512(&mut factors) },
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => factors.fill::<true, 8>(),
         }
         factors
     }
@@ -283,6 +285,8 @@ impl Factors {
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => unsafe { avx512_basis(self, equations) },
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => self.in_basis::<true, 8>(equations),
         }
     }
 
@@ -353,6 +357,8 @@ impl Factors {
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
             Simd::Avx512 => unsafe { avx512_without(self, basis, equations) },
+            #[cfg(not(target_arch = "x86_64"))]
+            Simd::Neon => self.without::<true>(basis, equations),
         }
     }
 

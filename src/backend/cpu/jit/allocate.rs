@@ -1,9 +1,8 @@
 //! Registers for straight-line code: what is needed furthest in the future goes to memory (Belady
 //! 1966).
 
-use super::assembler::{Assembler, Base, Form, MASKS, Mask, Operand, Register, Set};
+use super::encoder::{Base, Encoder, Form, Mask, Operand, Register};
 use crate::backend::cpu::code::{Binary, Fused, Op, Value};
-use crate::model::Precision;
 use rustc_hash::FxHashMap;
 
 const NEVER: u32 = u32::MAX;
@@ -19,7 +18,6 @@ pub struct Assembled {
 /// Where values lie in memory.
 #[derive(Clone, Copy)]
 pub struct Layout {
-    pub set: Set,
     /// Bytes from one slot of the frame to the next.
     pub stride: usize,
     /// Neighbouring vectors side by side.
@@ -28,10 +26,10 @@ pub struct Layout {
     pub parameters: usize,
 }
 
-struct Allocator<'a> {
+struct Allocator<'a, E> {
     ops: &'a [Op],
     layout: Layout,
-    asm: Assembler,
+    asm: E,
     /// Reads of each value, latest first.
     uses: Vec<Vec<u32>>,
     register: Vec<Option<Register>>,
@@ -51,8 +49,8 @@ struct Allocator<'a> {
     patterns: Vec<u64>,
 }
 
-/// Assembles code that works through `count` groups of vectors (see [`Assembler::repeat`]).
-pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
+/// Assembles code that works through groups of vectors (see [`Encoder::repeat`]).
+pub fn assemble(ops: &[Op], layout: Layout, asm: impl Encoder) -> Assembled {
     let mut uses = vec![Vec::new(); ops.len()];
     for (i, op) in ops.iter().enumerate().rev() {
         op.reads().for_each(|v| uses[v as usize].push(i as u32));
@@ -60,11 +58,11 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
     let mut this = Allocator {
         ops,
         layout,
-        asm: Assembler::new(layout.set, precision),
         uses,
         register: vec![None; ops.len()],
-        held: vec![None; layout.set.registers()],
-        needed: vec![NEVER; layout.set.registers()],
+        held: vec![None; asm.registers()],
+        needed: vec![NEVER; asm.registers()],
+        asm,
         mask: vec![None; ops.len()],
         next_mask: 0,
         memory: vec![None; ops.len()],
@@ -77,23 +75,22 @@ pub fn assemble(ops: &[Op], layout: Layout, precision: Precision) -> Assembled {
     for i in 0..ops.len() {
         this.emit(i);
     }
-    this.asm
-        .repeat(layout.copies as usize * layout.set.vector());
+    let moved = layout.copies as usize * this.vector();
     Assembled {
-        bytes: this.asm.bytes,
+        bytes: this.asm.repeat(moved),
         pool: this.patterns,
         spills: this.spills,
     }
 }
 
-impl Allocator<'_> {
+impl<E: Encoder> Allocator<'_, E> {
     fn frame(&self, slot: u32) -> i32 {
         let (slot, copy) = (slot / self.layout.copies, slot % self.layout.copies);
         (slot as usize * self.layout.stride + copy as usize * self.vector()) as i32
     }
 
     fn vector(&self) -> usize {
-        self.layout.set.vector()
+        self.asm.vector()
     }
 
     /// Whether a comparison can stay in a mask register: blends alone read it, as what they choose
@@ -111,13 +108,14 @@ impl Allocator<'_> {
             return false;
         };
         let compares = |op: &&Op| matches!(op, Op::Binary(Binary::Compare(_), ..));
-        self.layout.set == Set::Avx512
+        let masks = usize::from(self.asm.masks());
+        masks > 0
             && reads.iter().all(chooses)
             && self.ops[i + 1..*last as usize]
                 .iter()
                 .filter(compares)
                 .count()
-                < usize::from(MASKS)
+                < masks
     }
 
     fn next_use(&self, v: Value) -> u32 {
@@ -162,7 +160,7 @@ impl Allocator<'_> {
                 self.used(&[a, b]);
                 match kind {
                     Binary::Compare(how) if self.stays_mask(i) => {
-                        self.next_mask = self.next_mask % MASKS + 1;
+                        self.next_mask = self.next_mask % self.asm.masks() + 1;
                         self.mask[i] = Some(self.next_mask);
                         self.asm.compare(how, self.next_mask, ra, ob);
                     }
@@ -220,7 +218,10 @@ impl Allocator<'_> {
                 .filter(move |(j, _)| *j != k)
                 .map(|(_, v)| *v)
         };
-        let k = replaced.unwrap_or(2);
+        let k = match replaced {
+            Some(k) if !self.asm.only_accumulates() => k,
+            _ => 2,
+        };
         let others: Vec<Value> = rest(k).collect();
         // The other operand that stays in memory.
         let last = (others.iter().position(|v| !inside(self, *v))).unwrap_or(1);

@@ -1,9 +1,14 @@
-//! Just-in-time compilation of straight-line vector code for AVX2 and FMA, or AVX-512: a whole step
-//! of a scene's equations becomes machine code that keeps its values in registers, where an
+//! Just-in-time compilation of straight-line vector code for AVX2 and FMA, AVX-512, or NEON: a whole
+//! step of a scene's equations becomes machine code that keeps its values in registers, where an
 //! interpreter would move each of them through memory.
 
 mod allocate;
-mod assembler;
+mod encoder;
+// Encodings are tested on every machine, and run where the processor is of their kind.
+#[cfg(any(not(target_arch = "x86_64"), test))]
+mod neon;
+#[cfg(any(target_arch = "x86_64", test))]
+mod x86;
 
 use super::code::Recorder;
 use super::lanes::Lanes;
@@ -16,7 +21,10 @@ use memmap2::{Mmap, MmapMut};
 /// come from.
 pub const MOST_OPERATIONS: usize = 200_000;
 
-pub use assembler::Set;
+#[cfg(not(target_arch = "x86_64"))]
+pub use neon::Set;
+#[cfg(target_arch = "x86_64")]
+pub use x86::Set;
 
 /// Bytes that no vector is larger than, aligned as any is.
 #[repr(align(64))]
@@ -86,7 +94,11 @@ impl Set {
     /// Whether the machine has it.
     pub fn is_here(self) -> bool {
         match self {
+            #[cfg(not(target_arch = "x86_64"))]
+            Self::Neon => cfg!(target_arch = "aarch64"),
+            #[cfg(target_arch = "x86_64")]
             Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            #[cfg(target_arch = "x86_64")]
             Self::Avx512 => {
                 is_x86_feature_detected!("avx512f")
                     && is_x86_feature_detected!("avx512dq")
@@ -112,18 +124,19 @@ impl Executable {
         let (slots, parameters) = (recorder.slots(), recorder.parameters());
         let ops = recorder.finish(copies);
         let layout = Layout {
-            set,
             stride: width * precision.bytes(),
             copies,
             parameters,
         };
-        let assembled = allocate::assemble(&ops, layout, precision);
+        let assembled = allocate::assemble(&ops, layout, set.encoder(precision));
         let mut memory = MmapMut::map_anon(assembled.bytes.len()).ok()?;
         memory.copy_from_slice(&assembled.bytes);
         let mut pool = Vectors::new(parameters + assembled.pool.len(), set);
         for (k, bits) in assembled.pool.iter().enumerate() {
             pool.splat(parameters + k, *bits, precision);
         }
+        #[cfg(target_arch = "aarch64")]
+        see(&memory);
         Some(Self {
             code: memory.make_exec().ok()?,
             pool,
@@ -181,8 +194,7 @@ impl Machine<'_> {
         // as it was compiled for; the processor has the instructions (checked when it was
         // compiled).
         unsafe {
-            let code: extern "sysv64" fn(*mut Lanes<T, W>, *const Line, usize, *mut Line) =
-                std::mem::transmute(e.code.as_ptr());
+            let code: Code<T, W> = std::mem::transmute(e.code.as_ptr());
             code(
                 frame.as_mut_ptr(),
                 self.pool.lines.as_ptr(),
@@ -190,6 +202,32 @@ impl Machine<'_> {
                 self.spills.lines.as_mut_ptr(),
             );
         }
+    }
+}
+
+/// The frame, the pool, how many groups of vectors, and the spills.
+#[cfg(target_arch = "x86_64")]
+type Code<T, const W: usize> = extern "sysv64" fn(*mut Lanes<T, W>, *const Line, usize, *mut Line);
+#[cfg(not(target_arch = "x86_64"))]
+type Code<T, const W: usize> = extern "C" fn(*mut Lanes<T, W>, *const Line, usize, *mut Line);
+
+/// Lets instructions be fetched as they were written: the caches of aarch64 do not see to it
+/// (DDI 0487, B2.7.4.2).
+#[cfg(target_arch = "aarch64")]
+fn see(code: &[u8]) {
+    const LEAST_LINE: usize = 16;
+    let lines =
+        || (code.as_ptr() as usize..code.as_ptr() as usize + code.len()).step_by(LEAST_LINE);
+    // SAFETY: caches of memory that is ours are cleaned; no memory changes.
+    unsafe {
+        for at in lines() {
+            core::arch::asm!("dc cvau, {}", in(reg) at, options(nostack, preserves_flags));
+        }
+        core::arch::asm!("dsb ish", options(nostack, preserves_flags));
+        for at in lines() {
+            core::arch::asm!("ic ivau, {}", in(reg) at, options(nostack, preserves_flags));
+        }
+        core::arch::asm!("dsb ish", "isb", options(nostack, preserves_flags));
     }
 }
 

@@ -62,11 +62,8 @@ fn agree<T: Real>(
     precision: Precision,
     points: &[f64],
 ) -> Result<(), TestCaseError> {
-    for set in [Set::Avx2, Set::Avx512] {
-        // The encoder is also tested against an assembler, where the machine lacks a set.
-        if set.is_here() {
-            agree_of::<T>(set, program, precision, points)?;
-        }
+    for set in sets() {
+        agree_of::<T>(set, program, precision, points)?;
     }
     Ok(())
 }
@@ -112,10 +109,20 @@ fn agree_of<T: Real>(
     Ok(())
 }
 
+/// The sets that this machine has. Encoders are also tested against an assembler, on machines that
+/// lack a set.
+fn sets() -> impl Iterator<Item = Set> {
+    #[cfg(target_arch = "x86_64")]
+    const ALL: &[Set] = &[Set::Avx2, Set::Avx512];
+    #[cfg(not(target_arch = "x86_64"))]
+    const ALL: &[Set] = &[Set::Neon];
+    ALL.iter().copied().filter(|set| set.is_here())
+}
+
 /// Whether code can be run that was compiled. Where it cannot the test fails, unless
 /// `COSTATE_WITHOUT_AVX2` says that the machine is known to lack AVX2.
 fn here() -> bool {
-    let here = super::works() && Set::Avx2.is_here();
+    let here = super::works() && sets().next().is_some();
     assert!(
         here || std::env::var_os("COSTATE_WITHOUT_AVX2").is_some(),
         "this test needs AVX2: set COSTATE_WITHOUT_AVX2=1 to leave it out on a machine without"
@@ -153,7 +160,7 @@ fn parameters_are_given_with_each_call() {
     if !here() {
         return;
     }
-    for set in [Set::Avx2, Set::Avx512].into_iter().filter(|s| s.is_here()) {
+    for set in sets() {
         let mut recorder = Recorder::new(Precision::F64, true);
         let (x, p) = (recorder.load(0), recorder.parameter(1));
         let sum = recorder.mul_add(x, p, p);

@@ -1,15 +1,10 @@
 //! Encoding of the instructions that vector code needs: AVX2 (Intel SDM volume 2, VEX prefix) and
 //! AVX-512 (EVEX prefix).
 
+use super::encoder::{Base, Encoder, Form, Mask, Operand, Register};
 use crate::backend::cpu::arithmetic::Comparison;
 use crate::backend::cpu::code::{Binary, Fused};
 use crate::model::Precision;
-
-/// A vector register.
-pub type Register = u8;
-
-/// A register of masks, 1 to 7.
-pub type Mask = u8;
 
 /// A set of instructions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,38 +24,15 @@ impl Set {
         }
     }
 
-    /// Vector registers.
-    pub fn registers(self) -> usize {
-        match self {
-            Set::Avx2 => 16,
-            Set::Avx512 => 32,
-        }
+    pub fn encoder(self, precision: Precision) -> Assembler {
+        Assembler::new(self, precision)
     }
-}
-
-/// Where an address begins.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Base {
-    /// The frame of lanes (rdi).
-    Frame,
-    /// Constants (rsi).
-    Pool,
-    /// Values that found no register (rcx).
-    Spill,
-}
-
-/// The last operand of an instruction.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Operand {
-    Register(Register),
-    /// Bytes from a base.
-    Memory(Base, i32),
 }
 
 /// The mask register that holds nothing beyond an operation.
 const SCRATCH: Mask = 7;
 /// Mask registers that may hold comparisons: the others but the first, which means no mask.
-pub const MASKS: Mask = 6;
+const MASKS: Mask = 6;
 
 /// The quiet predicate of a comparison: no exception on what is not a number.
 fn predicate(how: Comparison) -> u8 {
@@ -78,17 +50,6 @@ enum Map {
     M0F3A = 3,
 }
 
-/// Which of a fused operation's operands the result replaces, and which one is the last operand.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Form {
-    /// `d = d*m + v`
-    F132,
-    /// `d = v*d + m`
-    F213,
-    /// `d = v*m + d`
-    F231,
-}
-
 /// An instruction but for its operands.
 #[derive(Clone, Copy)]
 struct Opcode {
@@ -101,7 +62,7 @@ struct Opcode {
 }
 
 pub struct Assembler {
-    pub bytes: Vec<u8>,
+    bytes: Vec<u8>,
     set: Set,
     double: bool,
 }
@@ -201,7 +162,47 @@ impl Assembler {
         }
     }
 
-    pub fn binary(&mut self, kind: Binary, to: Register, a: Register, b: Operand) {
+    /// All bits of the lanes that are in a mask, none of the others (AVX-512).
+    fn spread(&mut self, to: Register, from: Mask) {
+        let spread = self.of(Map::M0F38, 2, 0x38);
+        self.emit(spread, to, 0, Operand::Register(from), 0);
+    }
+
+    /// A move of whole vectors, whatever is in them.
+    fn plain(opcode: u8) -> Opcode {
+        Opcode {
+            map: Map::M0F,
+            pp: 0,
+            wide: [false; 2],
+            opcode,
+        }
+    }
+}
+
+impl Encoder for Assembler {
+    fn vector(&self) -> usize {
+        self.set.vector()
+    }
+
+    fn registers(&self) -> usize {
+        match self.set {
+            Set::Avx2 => 16,
+            Set::Avx512 => 32,
+        }
+    }
+
+    fn masks(&self) -> Mask {
+        match self.set {
+            Set::Avx2 => 0,
+            Set::Avx512 => MASKS,
+        }
+    }
+
+    fn only_accumulates(&self) -> bool {
+        false
+    }
+
+    fn binary(&mut self, kind: Binary, to: Register, a: Register, b: Operand) {
         let (p, double) = (self.packed(), self.double);
         let (pp, opcode) = match kind {
             Binary::Add => (p, 0x58),
@@ -224,20 +225,13 @@ impl Assembler {
         }
     }
 
-    /// `to = a < b`, say, as a mask (AVX-512).
-    pub fn compare(&mut self, how: Comparison, to: Mask, a: Register, b: Operand) {
+    fn compare(&mut self, how: Comparison, to: Mask, a: Register, b: Operand) {
         let compare = self.of(Map::M0F, self.packed(), 0xC2);
         self.emit(compare, to, a, b, 0);
         self.bytes.push(predicate(how));
     }
 
-    /// All bits of the lanes that are in a mask, none of the others (AVX-512).
-    fn spread(&mut self, to: Register, from: Mask) {
-        let spread = self.of(Map::M0F38, 2, 0x38);
-        self.emit(spread, to, 0, Operand::Register(from), 0);
-    }
-
-    pub fn fused(&mut self, kind: Fused, form: Form, to: Register, v: Register, m: Operand) {
+    fn fused(&mut self, kind: Fused, form: Form, to: Register, v: Register, m: Operand) {
         let row = match form {
             Form::F132 => 0x90,
             Form::F213 => 0xA0,
@@ -255,11 +249,11 @@ impl Assembler {
         self.emit(fused, to, v, m, 0);
     }
 
-    pub fn sqrt(&mut self, to: Register, a: Operand) {
+    fn sqrt(&mut self, to: Register, a: Operand) {
         self.emit(self.of(Map::M0F, self.packed(), 0x51), to, 0, a, 0);
     }
 
-    pub fn shift(&mut self, left: bool, to: Register, a: Register, by: u32) {
+    fn shift(&mut self, left: bool, to: Register, a: Register, by: u32) {
         let opcode = if self.double { 0x73 } else { 0x72 };
         let extension = if left { 6 } else { 2 };
         let shift = self.of(Map::M0F, 1, opcode);
@@ -267,8 +261,7 @@ impl Assembler {
         self.bytes.push(by as u8);
     }
 
-    /// `to = highest bit of mask ? yes : no`
-    pub fn blend(&mut self, to: Register, mask: Register, yes: Operand, no: Register) {
+    fn blend(&mut self, to: Register, mask: Register, yes: Operand, no: Register) {
         if self.set == Set::Avx512 {
             let highest = self.of(Map::M0F38, 2, 0x39);
             self.emit(highest, SCRATCH, 0, Operand::Register(mask), 0);
@@ -279,22 +272,11 @@ impl Assembler {
         self.bytes.push(mask << 4);
     }
 
-    /// `to = mask ? yes : no` (AVX-512).
-    pub fn choose(&mut self, to: Register, mask: Mask, yes: Operand, no: Register) {
+    fn choose(&mut self, to: Register, mask: Mask, yes: Operand, no: Register) {
         self.emit(self.of(Map::M0F38, 1, 0x65), to, no, yes, mask);
     }
 
-    /// A move of whole vectors, whatever is in them.
-    fn plain(opcode: u8) -> Opcode {
-        Opcode {
-            map: Map::M0F,
-            pp: 0,
-            wide: [false; 2],
-            opcode,
-        }
-    }
-
-    pub fn copy(&mut self, to: Register, from: Operand) {
+    fn copy(&mut self, to: Register, from: Operand) {
         let opcode = match from {
             Operand::Register(_) => 0x28,
             Operand::Memory(..) => 0x10,
@@ -302,13 +284,13 @@ impl Assembler {
         self.emit(Self::plain(opcode), to, 0, from, 0);
     }
 
-    pub fn store(&mut self, from: Register, base: Base, offset: i32) {
+    fn store(&mut self, from: Register, base: Base, offset: i32) {
         let to = Operand::Memory(base, offset);
         self.emit(Self::plain(0x11), from, 0, to, 0);
     }
 
-    /// Ends a loop that began with the first byte: the frame moves by `bytes`, rdx counts down.
-    pub fn repeat(&mut self, bytes: usize) {
+    fn repeat(mut self, bytes: usize) -> Vec<u8> {
+        // add rdi, bytes; dec rdx; jnz back to the first byte
         self.bytes.extend([0x48, 0x81, 0xC7]);
         self.bytes.extend((bytes as i32).to_le_bytes());
         self.bytes.extend([0x48, 0xFF, 0xCA]);
@@ -317,6 +299,7 @@ impl Assembler {
         self.bytes.extend(back.to_le_bytes());
         // vzeroupper; ret
         self.bytes.extend([0xC5, 0xF8, 0x77, 0xC3]);
+        self.bytes
     }
 }
 

@@ -18,7 +18,7 @@ fn m(base: Base, offset: i32) -> Operand {
 fn agrees(set: Set, listing: &[Row<'_>]) {
     for (emit, doubles, singles) in listing {
         for (precision, [text, bytes]) in [(F64, doubles), (F32, singles)] {
-            let mut assembler = Assembler::new(set, precision);
+            let mut assembler = set.encoder(precision);
             emit(&mut assembler);
             let hex: Vec<String> = (assembler.bytes.iter())
                 .map(|b| format!("{b:02x}"))
