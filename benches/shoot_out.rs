@@ -104,7 +104,7 @@ fn main() {
     let mut settings: Vec<(Method, Precision, f64, f64)> = Vec::new();
     for method in [Method::Tsit5, Method::Dop853, Method::Taylor] {
         for rtol in [
-            1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13,
+            1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14,
         ] {
             if method != Method::Tsit5 || rtol >= 1e-9 {
                 settings.push((method, Precision::F64, rtol, 0.0));

@@ -3,7 +3,7 @@
 
 pub(crate) mod arithmetic;
 mod block;
-mod code;
+pub(crate) mod code;
 mod decide;
 mod evaluator;
 mod jit;
@@ -11,7 +11,7 @@ pub(crate) mod lanes;
 mod peak;
 pub(crate) mod real;
 mod routine;
-mod steps;
+pub(crate) mod steps;
 mod taylor;
 
 pub use evaluator::Evaluator;

@@ -17,6 +17,8 @@ mod relay;
 mod results;
 pub(crate) mod shader;
 #[cfg(test)]
+mod straight;
+#[cfg(test)]
 mod tests;
 pub(crate) mod text;
 
