@@ -55,7 +55,8 @@ struct Lane {
     k: Vector,
     t: real,
     h: real,
-    // Base-2 logarithm of the squared error of the step before.
+    // Base-2 logarithm of the squared error of the step before; of Taylor steps how far that one
+    // reached.
     before: f32,
     first_step: real,
     status: u32,
@@ -117,7 +118,13 @@ fn decide(lane: Lane, step: Step) -> Decision {
     decided.next_h = lane.h;
     decided.before = lane.before;
 //end
-//if ADAPTIVE
+//if TAYLOR
+    // The next expansion says how far it reaches.
+    decided.accepted = finite;
+    decided.next_h = select(lane.h * real(SHRINK), LARGEST, finite);
+    decided.before = select(lane.before, f32(step.reach), finite);
+//end
+//if ADAPTIVE RUNGE_KUTTA
     let accepted = select(false, step.error < 1.0, finite);
     // Squared errors: the exponents are halved.
     let log_e = log2(max(select(1.0, f32(step.error), finite), LEAST_SQUARED_ERROR));
@@ -161,7 +168,10 @@ fn meet_kinks(decided: ptr<function, Decision>, lane: Lane, step: Step) {
 // Some devices run both sides of a condition and every loop at least once. So what is rare stands
 // outside the loop over steps, and loops ask at their end whether to go on.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
-    let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
+    let step = attempt(*lane, run);
+//if TAYLOR
+    (*lane).h = step.h;
+//end
     let decided = decide(*lane, step);
     (*lane).work += 1u;
     if (decided.accepted) {
@@ -245,11 +255,16 @@ fn ends_leg(lane: Lane, step: Step, run: Run) -> bool {
 
 // Moves on to the end of an accepted step.
 fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
+//if TAYLOR
+    let floor = FLOOR * max((*lane).t, (*lane).first_step);
+//end
     (*lane).steps += 1u;
     (*lane).before = decided.before;
     (*lane).t += (*lane).h;
     (*lane).y = step.y;
+//if RUNGE_KUTTA
     (*lane).k = step.LAST_STAGE;
+//end
 //if KINKS
     (*lane).resume = decided.resume;
     (*lane).sides = decided.sides;
@@ -267,12 +282,34 @@ fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
         return;
     }
 //end
+//if TAYLOR
+    if ((*lane).h < floor) {
+        (*lane).status = STEP_FLOOR;
+        return;
+    }
+//end
     (*lane).h = limited(run, (*lane).t, decided.next_h);
 }
 
+//if TAYLOR
+// The step at which the last coefficients of an expansion are as large as the tolerance, from the
+// largest of them in units of it; 0 where they are not finite. Where a solution is a polynomial they
+// say nothing: steps grow by a bounded factor.
+fn reach_of(below: real, top: real, lane: Lane) -> real {
+    let finite = is_finite(below) & is_finite(top);
+    let a = exp2(-TO_LAST_BUT_ONE * log2(max(f32(below), LEAST_COEFFICIENT)));
+    let b = exp2(-TO_LAST * log2(max(f32(top), LEAST_COEFFICIENT)));
+    let most = select(lane.first_step * real(BEGIN), real(lane.before) * real(GROW), lane.before > 0.0);
+    return select(0.0, min(real(TAYLOR_SAFETY * min(a, b)), most), finite);
+}
+//end
+
 // Takes the lane's step again and ends the trajectory at the first guard or the last level in it.
 fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
-    let step = attempt((*lane).y, (*lane).k, (*lane).h, run);
+    let step = attempt(*lane, run);
+//if TAYLOR
+    (*lane).h = step.h;
+//end
     let dense = densify((*lane).y, (*lane).k, step, (*lane).h);
     var most: real = 1.0;
     var ended = RUNNING;
@@ -494,6 +531,11 @@ fn begin(lane: ptr<function, Lane>, run: Run) {
 //if FIXED
     (*lane).first_step = run.step;
 //end
+//if TAYLOR
+    (*lane).h = limited(run, 0.0, LARGEST);
+//end
+//if RUNGE_KUTTA
     // Of an adaptive method 0 where the first step is not given.
     (*lane).h = limited(run, 0.0, select((*lane).first_step, run.step, run.step > 0.0));
+//end
 }

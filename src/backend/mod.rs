@@ -227,8 +227,6 @@ pub enum BackendError {
     NoSuchAdapter { wanted: String, found: String },
     #[error("adapter `{adapter}` has no f64 arithmetic; use --precision f32 or --backend cpu")]
     NoF64 { adapter: String },
-    #[error("GPU kernels have no {method} method; use dop853, or --backend cpu")]
-    NoMethod { method: &'static str },
     #[cfg(feature = "gpu")]
     #[error("the adapter refused a device: {0}")]
     Device(#[from] wgpu::RequestDeviceError),
@@ -269,7 +267,7 @@ impl BackendError {
     /// Whether what was asked for is at fault: no machine would do it.
     #[must_use]
     pub fn is_of_input(&self) -> bool {
-        matches!(self, Self::NoMethod { .. } | Self::NoSuchAdapter { .. })
+        matches!(self, Self::NoSuchAdapter { .. })
     }
 }
 
@@ -358,6 +356,10 @@ pub trait Backend: Send + Sync {
     fn supports(&self, precision: Precision) -> bool;
     /// Whether kernels of this method can be made.
     fn offers(&self, method: Method) -> bool;
+    /// Whether this method may be chosen where none is asked for.
+    fn favours(&self, method: Method) -> bool {
+        self.offers(method)
+    }
     /// # Errors
     /// When the precision is not supported or the generated code is refused.
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError>;

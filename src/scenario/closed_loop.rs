@@ -6,6 +6,7 @@ use super::lexer::Relation;
 use super::parser::{Ast, parse_expression};
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role};
+use super::settings::number_of;
 use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
@@ -208,7 +209,8 @@ impl<'a> Reader<'a> {
         let points: f64 = points.product();
         if !random && points > MOST_STATES {
             let message = format!(
-                "{points:.3e} initial states; at most {MOST_STATES:.0e} are simulated at once"
+                "{} initial states; at most {MOST_STATES:.0} are simulated at once",
+                number_of(points)
             );
             return self.refuse(table.span.clone(), message, "too many states");
         }

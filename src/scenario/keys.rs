@@ -243,7 +243,7 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "whole number from 1 to 10000000",
                         "1",
                         "100000",
-                        "a sweep ends with so many trajectories, whatever gaps are left",
+                        "a sweep ends with so many trajectories, whatever gaps are left (with those of its first seeds where it begins with more)",
                     ),
                     key(
                         "margin",

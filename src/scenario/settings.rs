@@ -263,8 +263,9 @@ impl<'a> Reader<'a> {
             return Some(());
         }
         let message = format!(
-            "{} has {points:.3e} points; at most {MOST_POINTS:.0e} are solved at once",
-            section.name
+            "{} has {} points; at most {MOST_POINTS:.0} are solved at once",
+            section.name,
+            number_of(points)
         );
         self.refuse(section.span.clone(), message, "too many points")
     }
@@ -612,4 +613,12 @@ fn is_fixed_step(method: Option<Method>) -> bool {
 fn methods() -> Vec<(&'static str, Option<Method>)> {
     let named = Method::ALL.iter().map(|(name, m)| (*name, Some(*m)));
     named.chain([("auto", None)]).collect()
+}
+
+/// A count that is kept as a real number, for messages.
+pub fn number_of(count: f64) -> String {
+    match count < 1e9 {
+        true => format!("{count:.0}"),
+        false => format!("{count:.3e}"),
+    }
 }

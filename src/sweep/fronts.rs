@@ -35,6 +35,10 @@ const TASK: usize = 64;
 /// Edges that may wait although the cap leaves them no seed: they are counted and forgotten only
 /// where they are more than that.
 const KEPT: usize = 1 << 17;
+/// A vertex is in the middle of an edge when it is so near to it, in lengths of the edge. Triangles so
+/// flat come of sides that are left: where the front between two ends does not meet the region although
+/// the ones beside it do, halving those in turns would put seeds into the same places for ever.
+const NEAR: f64 = 1.0 / 64.0;
 
 /// How well the fronts are covered.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -167,6 +171,8 @@ struct Middle {
     at_guard: bool,
     /// Whether the precision tells it from its neighbours.
     distinct: bool,
+    /// Whether a common neighbour of the ends is there already.
+    taken: bool,
 }
 
 struct Fronts<'a> {
@@ -394,6 +400,9 @@ impl<'a> Fronts<'a> {
         for vertex in self.neighbours.take_closed() {
             self.nodes.forget(vertex);
         }
+        for vertex in self.neighbours.take_forgotten() {
+            self.nodes.forget_place(vertex);
+        }
         match self.nodes.failure() {
             None => Ok(()),
             Some(error) => Err(BackendError::SetAside(error)),
@@ -511,12 +520,20 @@ impl<'a> Fronts<'a> {
             .zip(seeds.par_chunks_mut(length))
             .with_min_len(TASK)
             .map_init(
-                SeedScratch::default,
-                |scratch, ((edge, parameter), seed)| this.middle(edge.0, parameter, seed, scratch),
+                Default::default,
+                |(scratch, around), ((edge, parameter), seed)| {
+                    this.neighbours.around(edge.0, around);
+                    this.middle(edge.0, around, (parameter, seed), scratch)
+                },
             )
             .collect();
         let found = (parameters.chunks_exact(width)).zip(seeds.chunks_exact(length));
         for ((&(edge, gap), middle), (parameter, seed)) in edges.iter().zip(middles).zip(found) {
+            // The way between the ends leads by that neighbour, to which both were compared.
+            if middle.taken {
+                self.neighbours.settle(edge);
+                continue;
+            }
             if middle.distinct {
                 self.neighbours.split(edge);
                 self.place(parameter, seed, middle.guarded, middle.at_guard);
@@ -536,8 +553,8 @@ impl<'a> Fronts<'a> {
     fn middle(
         &self,
         edge: Edge,
-        parameter: &mut [f64],
-        seed: &mut [f64],
+        around: &[Vertex],
+        (parameter, seed): (&mut [f64], &mut [f64]),
         scratch: &mut SeedScratch,
     ) -> Middle {
         let (surface, nodes) = (&self.plan.surface, &self.nodes);
@@ -550,9 +567,13 @@ impl<'a> Fronts<'a> {
             _ => surface.toward_into(p, q, 0.5, parameter),
         }
         let guarded = surface.place(parameter, seed, scratch);
+        let at_guard = outside(a) || outside(b);
+        let near = NEAR * NEAR * square(p, q);
         Middle {
             guarded,
-            at_guard: outside(a) || outside(b),
+            at_guard,
+            taken: !at_guard
+                && (around.iter()).any(|v| square(parameter, nodes.parameter(*v)) < near),
             distinct: self.differ(seed, nodes.seed(a)) && self.differ(seed, nodes.seed(b)),
         }
     }
@@ -578,6 +599,11 @@ impl<'a> Fronts<'a> {
             (self.sampler).finish(self.plan.spec.dim(), self.plan.run.levels.len());
         self.report
     }
+}
+
+/// The square of the distance between two parameters.
+fn square(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
 /// Keeps what the neighbours of trajectory `i` of a batch are compared with; `path` is memory.

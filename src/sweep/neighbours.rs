@@ -49,8 +49,7 @@ pub struct Neighbours {
     fresh: Vec<Edge>,
     /// Vertices that nothing is to be compared with, since they were last asked for.
     closed: Vec<Vertex>,
-    /// Those that nothing will be near.
-    #[cfg(test)]
+    /// Those that nothing will be near, likewise.
     forgotten: Vec<Vertex>,
     /// Memory for what surrounds an edge.
     around: Vec<Vertex>,
@@ -108,8 +107,8 @@ impl Neighbours {
         closed
     }
 
-    #[cfg(test)]
-    fn take_forgotten(&mut self) -> Vec<Vertex> {
+    /// Vertices that no open edge is at or around any more, since the last call.
+    pub fn take_forgotten(&mut self) -> Vec<Vertex> {
         std::mem::take(&mut self.forgotten)
     }
 
@@ -173,8 +172,14 @@ impl Neighbours {
                 star.neighbours.remove(at);
             }
         }
-        #[cfg(test)]
         self.forgotten.push(vertex);
+    }
+
+    /// Puts the common neighbours of an edge's ends into a list.
+    pub fn around(&self, Edge(a, b): Edge, to: &mut Vec<Vertex>) {
+        to.clear();
+        let of = |v: Vertex| &self.stars[v as usize].neighbours;
+        common(of(a), of(b), to);
     }
 
     /// Splits an open edge at a new vertex.
@@ -182,12 +187,7 @@ impl Neighbours {
         let Edge(a, b) = edge;
         let middle = self.stars.len() as Vertex;
         let mut around = std::mem::take(&mut self.around);
-        around.clear();
-        common(
-            &self.stars[a as usize].neighbours,
-            &self.stars[b as usize].neighbours,
-            &mut around,
-        );
+        self.around(edge, &mut around);
 
         // Each end has the new vertex as a neighbour in the other's place: as many open ones.
         for (from, to) in [(a, b), (b, a)] {

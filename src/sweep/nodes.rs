@@ -21,12 +21,15 @@ pub(super) struct Nodes {
     /// By vertex.
     row: Vec<u32>,
     free: Vec<u32>,
+    /// Parameters are kept longer than the rest, in rows of their own.
+    place: Vec<u32>,
+    free_places: Vec<u32>,
+    parameters: Vec<f64>,
     states: usize,
     /// Numbers of a parameter and of a seed, `(s, p, V)`.
     parameter: usize,
     seed: usize,
     /// By row, as everything below.
-    parameters: Vec<f64>,
     seeds: Vec<f64>,
     state: Vec<State>,
     /// On the boundary of a guard: nothing is between it and an outside neighbour.
@@ -63,6 +66,8 @@ impl Nodes {
         Self {
             row: Vec::new(),
             free: Vec::new(),
+            place: Vec::new(),
+            free_places: Vec::new(),
             states,
             parameter,
             seed: 2 * states + 1,
@@ -95,7 +100,6 @@ impl Nodes {
     pub fn add(&mut self, parameter: &[f64], seed: &[f64], state: State, boundary: bool) -> Vertex {
         let row = self.free.pop().unwrap_or_else(|| {
             let row = self.state.len();
-            self.parameters.resize((row + 1) * self.parameter, 0.0);
             self.seeds.resize((row + 1) * self.seed, 0.0);
             self.folds.resize((row + 1) * self.states, f32::NAN);
             self.state.push(state);
@@ -104,19 +108,34 @@ impl Nodes {
             row as u32
         });
         let at = row as usize;
-        self.parameters[at * self.parameter..][..self.parameter].copy_from_slice(parameter);
         self.seeds[at * self.seed..][..self.seed].copy_from_slice(seed);
         self.state[at] = state;
         self.boundary[at] = boundary;
         self.row.push(row);
+        let place = self.free_places.pop().unwrap_or_else(|| {
+            let place = self.parameters.len() / self.parameter;
+            self.parameters.resize((place + 1) * self.parameter, 0.0);
+            place as u32
+        });
+        let to = place as usize * self.parameter;
+        self.parameters[to..][..self.parameter].copy_from_slice(parameter);
+        self.place.push(place);
         self.row.len() as Vertex - 1
     }
 
-    /// Drops a vertex.
+    /// Drops all of a vertex but its parameter.
     pub fn forget(&mut self, vertex: Vertex) {
         let row = std::mem::replace(&mut self.row[vertex as usize], NONE);
         if row != NONE {
             self.free.push(row);
+        }
+    }
+
+    /// Drops the parameter of a vertex.
+    pub fn forget_place(&mut self, vertex: Vertex) {
+        let place = std::mem::replace(&mut self.place[vertex as usize], NONE);
+        if place != NONE {
+            self.free_places.push(place);
         }
     }
 
@@ -134,11 +153,12 @@ impl Nodes {
         self.row(vertex).is_some_and(|row| self.boundary[row])
     }
 
-    /// The parameter of a vertex; nothing of one forgotten.
+    /// The parameter of a vertex; nothing of one whose place is forgotten.
     pub fn parameter(&self, vertex: Vertex) -> &[f64] {
-        (self.row(vertex)).map_or(&[], |row| {
-            &self.parameters[row * self.parameter..][..self.parameter]
-        })
+        match self.place[vertex as usize] {
+            NONE => &[],
+            place => &self.parameters[place as usize * self.parameter..][..self.parameter],
+        }
     }
 
     /// The seed of a vertex; nothing of one forgotten.

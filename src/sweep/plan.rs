@@ -42,7 +42,10 @@ pub enum PlanError {
          {MOST_STATES_FINITE} on a finite one); V, p and u at chosen states need no sweep: `costate solve --points` or `costate homotopy`"
     )]
     TooManyStates { states: usize, most: usize },
-    #[error("samples = {samples}: one trajectory's points would take {mebibytes} MiB")]
+    #[error(
+        "samples = {samples} in [shoot_out]: one trajectory's points would take {mebibytes} MiB, and {} MiB are the most: give fewer samples",
+        MOST_BYTES >> 20
+    )]
     TooManySamples { samples: usize, mebibytes: usize },
     #[error("the equations take {operations} operations; at most {MOST_OPERATIONS} are handled")]
     TooLong { operations: usize },
@@ -57,7 +60,7 @@ pub enum PlanError {
 fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
     if rtol >= F32_RTOL {
         Method::Tsit5
-    } else if backend.offers(Method::Taylor) {
+    } else if backend.favours(Method::Taylor) {
         Method::Taylor
     } else {
         Method::Dop853

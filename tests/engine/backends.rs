@@ -256,7 +256,7 @@ fn tolerance(problem: &Problem, method: Method, precision: Precision) -> Toleran
     }
 }
 
-const METHODS: [Method; 3] = [Method::Rk4, Method::Tsit5, Method::Dop853];
+const METHODS: [Method; 4] = [Method::Rk4, Method::Tsit5, Method::Dop853, Method::Taylor];
 const PRECISIONS: [Precision; 2] = [Precision::F32, Precision::F64];
 
 #[test]

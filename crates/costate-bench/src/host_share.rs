@@ -73,6 +73,9 @@ impl Backend for Metered<'_> {
     fn offers(&self, method: Method) -> bool {
         self.inner.offers(method)
     }
+    fn favours(&self, method: Method) -> bool {
+        self.inner.favours(method)
+    }
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {
         let begin = Instant::now();
         let kernel = self.inner.compile(spec)?;

@@ -3,6 +3,7 @@
 use super::arithmetic::{Arithmetic, Comparison};
 use super::code::{Recorder, Value};
 use super::real::Real;
+use super::taylor::Series;
 use super::{decide, taylor};
 use crate::backend::{Run, Spec, Variant};
 use crate::integrator::{Scheme, Tableau, control};
@@ -386,6 +387,102 @@ pub fn dense(r: &mut Recorder, spec: &Spec, layout: &Layout, tableau: &Tableau) 
     }
 }
 
+/// A solution as a Taylor polynomial about the beginning of a step.
+pub struct Expansion {
+    /// Coefficients by component.
+    series: Vec<Series>,
+    order: usize,
+    /// The largest one of the last order but one, and of the last, in units of the tolerance.
+    pub last: [Value; 2],
+}
+
+impl Expansion {
+    pub fn new(
+        r: &mut Recorder,
+        spec: &Spec,
+        order: usize,
+        (rtol, atol): (Value, &[Value]),
+        y: &[Value],
+    ) -> Self {
+        let series = taylor::solution(r, &spec.rate, y, order);
+        let zero = r.constant(0.0);
+        let mut last = [zero; 2];
+        for c in 0..y.len() {
+            let size = r.abs(y[c]);
+            let scale = r.mul_add(rtol, size, atol[c]);
+            for (most, j) in last.iter_mut().zip([order - 1, order]) {
+                let size = r.abs(series[c][j].unwrap_or(zero));
+                let ratio = r.div(size, scale);
+                *most = r.greatest(ratio, *most);
+            }
+        }
+        Self {
+            series,
+            order,
+            last,
+        }
+    }
+
+    /// The step at which the last coefficients are as large as the tolerance.
+    fn reach(&self, r: &mut Recorder) -> Value {
+        let zero = r.constant(0.0);
+        let mut reach = None;
+        for (most, j) in self.last.into_iter().zip([self.order - 1, self.order]) {
+            let log = decide::log2(r, most);
+            let share = r.constant(-1.0 / j as f64);
+            let log = r.mul(log, share);
+            reach = Some(reach.map_or(log, |other| r.smaller(log, other)));
+        }
+        let power = decide::exp2(r, reach.unwrap_or(zero));
+        let safety = r.constant(control::taylor_safety(self.order));
+        let reach = r.mul(power, safety);
+        // What is not finite takes no step, and is refused for it.
+        let [below, top] = self.last.map(|most| r.sub(most, most));
+        let nothing = r.add(below, top);
+        let finite = r.compare(Comparison::Equal, nothing, zero);
+        r.select(finite, reach, zero)
+    }
+
+    /// The step `h`, or a shorter one that ends just behind the first kink in it.
+    pub fn up_to_kinks(
+        &self,
+        r: &mut Recorder,
+        spec: &Spec,
+        mut h: Value,
+        (t, first_step): (Value, Value),
+    ) -> Value {
+        let Some(program) = &spec.kinks else { return h };
+        // No step to a kink is below what counts as stuck.
+        let reached = r.larger(t, first_step);
+        let unit = r.constant(2.0 * control::FLOOR_ULPS * r.epsilon());
+        let floor = r.mul(unit, reached);
+        for kink in taylor::along(r, program, &self.series, self.order) {
+            let to = up_to_kink(r, &kink, h);
+            let to = r.larger(to, floor);
+            h = r.smaller(to, h);
+        }
+        h
+    }
+
+    /// Coefficient `j` of a component.
+    pub fn coefficient(&self, r: &mut Recorder, component: usize, j: usize) -> Value {
+        let zero = r.constant(0.0);
+        self.series[component][j].unwrap_or(zero)
+    }
+
+    /// The solution after a step.
+    pub fn at(&self, r: &mut Recorder, h: Value) -> Vec<Value> {
+        let zero = r.constant(0.0);
+        let polynomial = |series: &Series| {
+            let highest = series[self.order].unwrap_or(zero);
+            (0..self.order).rev().fold(highest, |sum, j| {
+                r.mul_add(sum, h, series[j].unwrap_or(zero))
+            })
+        };
+        self.series.iter().map(polynomial).collect()
+    }
+}
+
 /// A Taylor step: the solution's coefficients, the step at which the last ones are as large as the
 /// tolerance, and the polynomials' values there.
 fn taylor_step(
@@ -396,69 +493,30 @@ fn taylor_step(
     given: &Parameters,
     y: &[Value],
 ) -> Taken {
-    let series = taylor::solution(r, &spec.rate, y, order);
-    let zero = r.constant(0.0);
-    let mut most = [zero; 2];
+    let expansion = Expansion::new(r, spec, order, (given.rtol, &given.atol), y);
     for c in 0..layout.dim {
-        for (j, v) in series[c].iter().enumerate().skip(1) {
-            r.store(v.unwrap_or(zero), layout.dense + (j - 1) * layout.dim + c);
-        }
-        let size = r.abs(y[c]);
-        let scale = r.mul_add(given.rtol, size, given.atol[c]);
-        for (most, j) in most.iter_mut().zip([order - 1, order]) {
-            let size = r.abs(series[c][j].unwrap_or(zero));
-            let ratio = r.div(size, scale);
-            *most = r.greatest(ratio, *most);
+        for j in 1..=order {
+            let coefficient = expansion.coefficient(r, c, j);
+            r.store(coefficient, layout.dense + (j - 1) * layout.dim + c);
         }
     }
-    let mut reach = None;
-    for (most, j) in most.into_iter().zip([order - 1, order]) {
-        let log = decide::log2(r, most);
-        let share = r.constant(-1.0 / j as f64);
-        let log = r.mul(log, share);
-        reach = Some(reach.map_or(log, |other| r.smaller(log, other)));
-    }
-    let power = decide::exp2(r, reach.unwrap_or(zero));
-    let safety = r.constant(control::taylor_safety(order));
-    let reach = r.mul(power, safety);
-    // What is not finite takes no step, and is refused for it.
-    let (below, top) = (r.sub(most[0], most[0]), r.sub(most[1], most[1]));
-    let nothing = r.add(below, top);
-    let finite = r.compare(Comparison::Equal, nothing, zero);
-    let reach = r.select(finite, reach, zero);
+    let reach = expansion.reach(r);
     // Where a solution is a polynomial its last terms say nothing about how far it is followed at
     // once: steps grow by a bounded factor. The first one is of the size |y|/|y'|.
     let (before, first_step) = (r.load(layout.now.before), r.load(layout.first_step));
     let (grow, begin) = (r.constant(control::GROW), r.constant(1.0 / control::SHARE));
     let (most, first) = (r.mul(before, grow), r.mul(first_step, begin));
+    let zero = r.constant(0.0);
     let begun = r.compare(Comparison::Less, zero, before);
     let most = r.select(begun, most, first);
     let reach = r.smaller(reach, most);
     let wanted = r.load(layout.now.wanted);
-    let mut h = decide::stretched(r, reach, wanted);
-    if let Some(program) = &spec.kinks {
-        // No step to a kink is below what counts as stuck.
-        let (t, first) = (r.load(layout.now.t), r.load(layout.first_step));
-        let reached = r.larger(t, first);
-        let unit = r.constant(2.0 * control::FLOOR_ULPS * r.epsilon());
-        let floor = r.mul(unit, reached);
-        for kink in taylor::along(r, program, &series, order) {
-            let to = up_to_kink(r, &kink, h);
-            let to = r.larger(to, floor);
-            h = r.smaller(to, h);
-        }
-    }
+    let h = decide::stretched(r, reach, wanted);
+    let t = r.load(layout.now.t);
+    let h = expansion.up_to_kinks(r, spec, h, (t, first_step));
     r.store(h, layout.h);
-    let mut error = zero;
-    let mut y_new = Vec::new();
-    for c in 0..layout.dim {
-        let mut sum = series[c][order].unwrap_or(zero);
-        for j in (0..order).rev() {
-            sum = r.mul_add(sum, h, series[c][j].unwrap_or(zero));
-        }
-        error = r.mul_add(zero, sum, error);
-        y_new.push(sum);
-    }
+    let y_new = expansion.at(r, h);
+    let error = (y_new.iter()).fold(zero, |error, y| r.mul_add(zero, *y, error));
     Taken {
         reach,
         ..Taken::new(r, spec, h, y, y_new, None, error)

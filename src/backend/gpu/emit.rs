@@ -4,10 +4,11 @@
 
 mod buffers;
 mod step;
+mod taylor;
 
 use super::text::{condition, constants, function, literal, structure};
 use crate::backend::{By, Guards, Spec, Variant};
-use crate::integrator::{Tableau, control};
+use crate::integrator::{Scheme, Tableau, control};
 use crate::model::Precision;
 use std::fmt::Write;
 
@@ -40,9 +41,10 @@ pub fn stored(spec: &Spec) -> impl Iterator<Item = usize> + use<> {
     (0..spec.dim()).filter(move |c| by != By::Component(*c))
 }
 
-/// Kinks that steps are made to end at; a fixed step has no choice.
+/// Kinks of which a Runge-Kutta step is made to end at the first; a fixed step has no choice, and a
+/// Taylor step looks for them in its own polynomials.
 pub fn kinks(spec: &Spec) -> usize {
-    let adaptive = spec.method.adaptive();
+    let adaptive = spec.method.tableau().is_some_and(Tableau::adaptive);
     (spec.kinks.as_ref().filter(|_| adaptive)).map_or(0, |program| program.outputs.len())
 }
 
@@ -81,18 +83,18 @@ impl Settings {
 pub struct Emitter<'a> {
     spec: &'a Spec,
     variant: Variant,
-    tableau: &'static Tableau,
+    scheme: Scheme,
     dim: usize,
     inputs: usize,
     legs: Option<Law>,
 }
 
 impl<'a> Emitter<'a> {
-    pub fn new(spec: &'a Spec, tableau: &'static Tableau, variant: Variant) -> Self {
+    pub fn new(spec: &'a Spec, scheme: Scheme, variant: Variant) -> Self {
         Self {
             spec,
             variant,
-            tableau,
+            scheme,
             dim: spec.dim(),
             inputs: spec.rate.inputs,
             legs: None,
@@ -114,10 +116,13 @@ impl<'a> Emitter<'a> {
     /// The conditions of `//if` lines that hold.
     pub fn conditions(&self) -> Vec<&'static str> {
         let mut list = vec![condition(self.spec.precision)];
-        list.push(if self.tableau.adaptive() {
-            "ADAPTIVE"
-        } else {
-            "FIXED"
+        list.push(match self.scheme.adaptive() {
+            true => "ADAPTIVE",
+            false => "FIXED",
+        });
+        list.push(match self.scheme {
+            Scheme::RungeKutta(_) => "RUNGE_KUTTA",
+            Scheme::Taylor(_) => "TAYLOR",
         });
         list.push(match self.spec.by {
             By::Time => "BY_TIME",
@@ -187,12 +192,17 @@ impl<'a> Emitter<'a> {
         text.push_str("    return first;\n}\n");
     }
 
-    /// The method: the stages of a step, its error, its dense output.
+    /// The method: a step, its error, its dense output.
     pub fn method(&self) -> String {
         let mut text = String::new();
-        self.step_structure(&mut text);
-        self.attempt(&mut text);
-        self.dense(&mut text);
+        match self.scheme {
+            Scheme::RungeKutta(tableau) => self.runge_kutta(tableau, &mut text),
+            Scheme::Taylor(order) => self.taylor(order, &mut text),
+        }
+        self.interpolate(&mut text);
+        if let By::Component(c) = self.spec.by {
+            self.along(c, &mut text);
+        }
         self.vectors(&mut text);
         self.buffers(&mut text);
         if let Some(law) = self.legs {
@@ -203,7 +213,10 @@ impl<'a> Emitter<'a> {
 
     /// Names that the hand-written fragments use in place of components and stages.
     pub fn names(&self) -> Vec<(&'static str, String)> {
-        let mut list = vec![("LAST_STAGE", format!("k{}", self.tableau.stages() - 1))];
+        let mut list = Vec::new();
+        if let Scheme::RungeKutta(tableau) = self.scheme {
+            list.push(("LAST_STAGE", format!("k{}", tableau.stages() - 1)));
+        }
         if let By::Component(c) = self.spec.by {
             list.push(("COORDINATE", format!("c{c}")));
         }
@@ -245,7 +258,13 @@ impl<'a> Emitter<'a> {
                 literal(value, self.spec.precision)
             );
         };
-        real("FIRST", self.tableau.first());
+        real(
+            "FIRST",
+            match self.scheme {
+                Scheme::RungeKutta(tableau) => tableau.first(),
+                Scheme::Taylor(_) => control::SHARE,
+            },
+        );
         real("AT_KINK", control::at_kink(self.spec.precision.epsilon()));
         real("FLOOR", control::FLOOR_ULPS * self.spec.precision.epsilon());
         let mut single = |name: &str, value: f64| {
@@ -256,9 +275,21 @@ impl<'a> Emitter<'a> {
             );
         };
         single("SAFETY", control::SAFETY);
-        single("HALF_ALPHA", 0.5 * control::ALPHA * self.tableau.exponent());
-        single("HALF_BETA", 0.5 * control::BETA * self.tableau.exponent());
-        single("HALF_REFUSED", 0.5 * self.tableau.exponent());
+        match self.scheme {
+            Scheme::RungeKutta(tableau) => {
+                single("HALF_ALPHA", 0.5 * control::ALPHA * tableau.exponent());
+                single("HALF_BETA", 0.5 * control::BETA * tableau.exponent());
+                single("HALF_REFUSED", 0.5 * tableau.exponent());
+            }
+            Scheme::Taylor(order) => {
+                single("TO_LAST_BUT_ONE", 1.0 / (order as f64 - 1.0));
+                single("TO_LAST", 1.0 / order as f64);
+                single("TAYLOR_SAFETY", control::taylor_safety(order));
+                single("BEGIN", 1.0 / control::SHARE);
+                // What is smaller than that stops no step.
+                single("LEAST_COEFFICIENT", 1e-30);
+            }
+        }
         single("SHRINK", control::SHRINK);
         single("GROW", control::GROW);
         single(

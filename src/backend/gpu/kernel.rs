@@ -8,7 +8,7 @@ use super::relay::GpuRelay;
 use super::results::{self, Written};
 use super::shader::{Fragment, Source, conditional};
 use crate::backend::{BackendError, Kernel, Relay, Run, Spec, Surface, Trajectories, Variant};
-use crate::integrator::Tableau;
+use crate::integrator::Scheme;
 use crate::model::Precision;
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
@@ -30,12 +30,26 @@ struct Pipelines {
     sweep: wgpu::ComputePipeline,
 }
 
+/// Operations of a Taylor step, which stand one behind the other: shader compilers take long over
+/// more.
+const MOST_WRITTEN_OUT: usize = 20_000;
+/// A tolerance at which a kernel's text is looked at before any run.
+const RTOL: f64 = 1e-6;
+
+/// The order of Taylor steps.
+fn order(scheme: Scheme) -> usize {
+    match scheme {
+        Scheme::RungeKutta(_) => 0,
+        Scheme::Taylor(order) => order,
+    }
+}
+
 pub(super) struct GpuKernel {
     device: Arc<Device>,
     spec: Spec,
-    tableau: &'static Tableau,
     layout: wgpu::BindGroupLayout,
-    pipelines: FxHashMap<Variant, Pipelines>,
+    /// By the order of Taylor steps and the variant.
+    pipelines: FxHashMap<(usize, Variant), Pipelines>,
     memory: Option<Memory>,
     /// Attempted steps a second over all trajectories, as measured so far.
     speed: Option<f64>,
@@ -45,8 +59,8 @@ pub(super) struct GpuKernel {
 }
 
 /// The whole text of a kernel's module.
-fn source(spec: &Spec, tableau: &'static Tableau, variant: Variant) -> Source {
-    let mut fragments = integrator(&Emitter::new(spec, tableau, variant)).to_vec();
+fn source(spec: &Spec, scheme: Scheme, variant: Variant) -> Source {
+    let mut fragments = integrator(&Emitter::new(spec, scheme, variant)).to_vec();
     fragments.push(Fragment {
         name: "shaders/sweep.wgsl",
         text: include_str!("../../../shaders/sweep.wgsl").to_owned(),
@@ -108,20 +122,15 @@ pub(super) fn settings(spec: &Spec, run: &Run, levels: &[f64]) -> Vec<f64> {
 
 impl GpuKernel {
     pub fn new(device: Arc<Device>, spec: Spec) -> Result<Self, BackendError> {
-        let Some(tableau) = spec.method.tableau() else {
-            return Err(BackendError::NoMethod {
-                method: spec.method.name(),
-            });
-        };
-        // Variants differ by checks that are added to this one.
-        source(&spec, tableau, Variant::default()).validate(device.info.f64_arithmetic)?;
+        // Variants differ by checks that are added to this one, Taylor steps by their order.
+        let scheme = spec.method.scheme(RTOL);
+        source(&spec, scheme, Variant::default()).validate(device.info.f64_arithmetic)?;
         let layout = layout(&device, "kernel", bindings(spec.store));
         let clock = Clock::new(&device);
         device.check()?;
         Ok(Self {
             device,
             spec,
-            tableau,
             layout,
             pipelines: FxHashMap::default(),
             memory: None,
@@ -131,11 +140,21 @@ impl GpuKernel {
         })
     }
 
-    fn prepare(&mut self, variant: Variant) -> Result<(), BackendError> {
-        if self.pipelines.contains_key(&variant) {
+    /// Makes the pipelines for a run where they are missing.
+    fn prepare(&mut self, run: &Run) -> Result<(), BackendError> {
+        let (scheme, variant) = (self.spec.method.scheme(run.rtol), run.variant());
+        let key = (order(scheme), variant);
+        if self.pipelines.contains_key(&key) {
             return Ok(());
         }
-        let source = source(&self.spec, self.tableau, variant);
+        let operations = Emitter::new(&self.spec, scheme, variant).written_out();
+        if operations > MOST_WRITTEN_OUT {
+            return Err(BackendError::TooLong {
+                operations,
+                limit: MOST_WRITTEN_OUT,
+            });
+        }
+        let source = source(&self.spec, scheme, variant);
         source.validate(self.device.info.f64_arithmetic)?;
         let device = &self.device.device;
         let descriptor = wgpu::ShaderModuleDescriptor {
@@ -150,7 +169,7 @@ impl GpuKernel {
         };
         let [start, sweep] = pipelines(&self.device, &[&self.layout], &module, ["start", "sweep"]);
         self.device.check()?;
-        self.pipelines.insert(variant, Pipelines { start, sweep });
+        self.pipelines.insert(key, Pipelines { start, sweep });
         Ok(())
     }
 
@@ -191,8 +210,9 @@ impl GpuKernel {
         first: usize,
         result: &mut Trajectories,
     ) -> Result<(), BackendError> {
+        let key = (order(self.spec.method.scheme(run.rtol)), variant);
         self.allocate(shape)?;
-        let (Some(memory), Some(pipelines)) = (&self.memory, self.pipelines.get(&variant)) else {
+        let (Some(memory), Some(pipelines)) = (&self.memory, self.pipelines.get(&key)) else {
             return Err(BackendError::Unwritten { index: 0 });
         };
         let part = Part {
@@ -407,13 +427,7 @@ impl Kernel for GpuKernel {
     }
 
     fn relay(&self, run: &Run, surface: &Surface) -> Result<Option<Box<dyn Relay>>, BackendError> {
-        let made = GpuRelay::new(
-            Arc::clone(&self.device),
-            &self.spec,
-            self.tableau,
-            run,
-            surface,
-        )?;
+        let made = GpuRelay::new(Arc::clone(&self.device), &self.spec, run, surface)?;
         Ok(made.map(|relay| -> Box<dyn Relay> { Box::new(relay) }))
     }
 
@@ -432,7 +446,7 @@ impl Kernel for GpuKernel {
         if count == 0 {
             return Ok(());
         }
-        self.prepare(variant)?;
+        self.prepare(run)?;
         let settings = Settings::new(dim, variant).levels + run.levels.len().max(1);
         let mut shape = Shape {
             trajectories: 1,

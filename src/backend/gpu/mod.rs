@@ -13,11 +13,10 @@ pub(crate) mod emit;
 mod kernel;
 pub(crate) mod memory;
 mod peak;
+mod recorded;
 mod relay;
 mod results;
 pub(crate) mod shader;
-#[cfg(test)]
-mod straight;
 #[cfg(test)]
 mod tests;
 pub(crate) mod text;
@@ -26,7 +25,7 @@ pub use super::adapters::{AdapterInfo, Selection};
 pub(super) use adapter::adapters;
 
 use super::{Backend, BackendError, Eliminator, Kernel, Spec};
-use crate::model::Precision;
+use crate::model::{Method, Precision};
 use adapter::Device;
 use std::sync::Arc;
 
@@ -109,8 +108,13 @@ impl Backend for Gpu {
         self.device.supports(precision)
     }
 
-    fn offers(&self, method: crate::model::Method) -> bool {
-        method.tableau().is_some()
+    fn offers(&self, _: Method) -> bool {
+        true
+    }
+
+    /// Taylor steps were not measured on a card: registers may be too few for them.
+    fn favours(&self, method: Method) -> bool {
+        method != Method::Taylor
     }
 
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {

@@ -10,7 +10,6 @@ use super::memory::{
 use super::shader::{Fragment, Source};
 use super::{ASK, GIVEN, LOST, PAUSED};
 use crate::backend::{BackendError, Course, Flown, Halt, Relay, Run, Spec, Status, Surface};
-use crate::integrator::Tableau;
 use crate::model::Precision;
 use std::sync::Arc;
 use std::time::Instant;
@@ -73,7 +72,6 @@ impl GpuRelay {
     pub fn new(
         device: Arc<Device>,
         spec: &Spec,
-        tableau: &'static Tableau,
         run: &Run,
         surface: &Surface,
     ) -> Result<Option<Self>, BackendError> {
@@ -89,8 +87,10 @@ impl GpuRelay {
             states: surface.states,
             last: surface.last,
         };
-        let mut fragments =
-            integrator(&Emitter::new(spec, tableau, run.variant()).with_legs(law)).to_vec();
+        let mut fragments = integrator(
+            &Emitter::new(spec, spec.method.scheme(run.rtol), run.variant()).with_legs(law),
+        )
+        .to_vec();
         fragments.extend(surface.fragments.iter().cloned());
         fragments.push(Fragment {
             name: "shaders/legs.wgsl",

@@ -107,7 +107,7 @@ impl Programs {
             rate: self.rate,
             guards: self.guards,
             kinks: self.kinks,
-            method: if backend.offers(Method::Taylor) {
+            method: if backend.favours(Method::Taylor) {
                 Method::Taylor
             } else {
                 Method::Dop853

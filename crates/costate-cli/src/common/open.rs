@@ -26,7 +26,9 @@ pub fn backend(
     };
     match adapters::open(&selection)? {
         // Where the choice is ours, a method asked for counts.
-        Some(gpu) if selection == Selection::Hardware && method.is_some_and(|m| !gpu.offers(m)) => {
+        Some(gpu)
+            if selection == Selection::Hardware && method.is_some_and(|m| !gpu.favours(m)) =>
+        {
             Ok(Box::new(Cpu::new()))
         }
         Some(gpu) => Ok(gpu),

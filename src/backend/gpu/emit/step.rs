@@ -2,12 +2,19 @@
 
 use super::Emitter;
 use crate::backend::By;
-use crate::integrator::control;
+use crate::integrator::{Tableau, control};
 use std::fmt::Write;
 
 impl Emitter<'_> {
-    pub(super) fn step_structure(&self, text: &mut String) {
-        let stages: String = (1..self.tableau.stages())
+    /// A Runge-Kutta step and its dense output.
+    pub(super) fn runge_kutta(&self, tableau: &Tableau, text: &mut String) {
+        self.step_structure(tableau, text);
+        self.attempt(tableau, text);
+        self.densify(tableau, text);
+    }
+
+    fn step_structure(&self, tableau: &Tableau, text: &mut String) {
+        let stages: String = (1..tableau.stages())
             .map(|s| format!(" k{s}: Vector,"))
             .collect();
         let _ = writeln!(
@@ -35,18 +42,18 @@ impl Emitter<'_> {
         terms.join(" + ")
     }
 
-    pub(super) fn attempt(&self, text: &mut String) {
-        let stages = self.tableau.stages();
+    fn attempt(&self, tableau: &Tableau, text: &mut String) {
+        let stages = tableau.stages();
         let _ = writeln!(
             text,
-            "fn attempt(y: Vector, k0: Vector, h: real, run: Run) -> Step {{"
+            "fn attempt(lane: Lane, run: Run) -> Step {{\n    let y = lane.y;\n    let k0 = lane.k;\n    let h = lane.h;"
         );
         for s in 1..stages {
             let last = s + 1 == stages;
             // Components that no derivative depends on are needed only at the end of the step.
             let components = if last { self.dim } else { self.inputs };
             for c in 0..components {
-                let sum = self.combination(self.tableau.a[s - 1], c);
+                let sum = self.combination(tableau.a[s - 1], c);
                 let _ = writeln!(text, "    let y{s}_{c} = y.c{c} + h * ({sum});");
             }
             let arguments: Vec<String> = (0..self.inputs).map(|c| format!("y{s}_{c}")).collect();
@@ -59,9 +66,9 @@ impl Emitter<'_> {
         let last = stages - 1;
         let new: Vec<String> = (0..self.dim).map(|c| format!("y{last}_{c}")).collect();
         let all: Vec<String> = (1..stages).map(|s| format!("k{s}")).collect();
-        if self.tableau.adaptive() {
+        if tableau.adaptive() {
             for c in 0..self.dim {
-                let sum = self.combination(self.tableau.error, c);
+                let sum = self.combination(tableau.error, c);
                 let _ = writeln!(
                     text,
                     "    let e{c} = ({sum}) * h / (run.atol.c{c} + run.rtol * max(abs(y.c{c}), abs(y{last}_{c})));"
@@ -74,7 +81,7 @@ impl Emitter<'_> {
                 "    let square = ({}) * {share};",
                 squares.join(" + ")
             );
-            self.companion(text, last, &share);
+            self.companion(tableau, text, last, &share);
         } else {
             // Only whether it is finite matters.
             let terms: Vec<String> = (0..self.dim)
@@ -92,13 +99,13 @@ impl Emitter<'_> {
 
     /// The squared error, from the estimate's mean square and that of the companion where there is
     /// one.
-    fn companion(&self, text: &mut String, last: usize, share: &str) {
-        if self.tableau.companion.is_empty() {
+    fn companion(&self, tableau: &Tableau, text: &mut String, last: usize, share: &str) {
+        if tableau.companion.is_empty() {
             let _ = writeln!(text, "    let error = square;");
             return;
         }
         for c in 0..self.dim {
-            let sum = self.combination(self.tableau.companion, c);
+            let sum = self.combination(tableau.companion, c);
             let _ = writeln!(
                 text,
                 "    let g{c} = ({sum}) * h / (run.atol.c{c} + run.rtol * max(abs(y.c{c}), abs(y{last}_{c})));"
@@ -114,31 +121,17 @@ impl Emitter<'_> {
         );
     }
 
-    /// The dense output: polynomials in the fraction of the step, made once for all points wanted
-    /// in it.
-    pub(super) fn dense(&self, text: &mut String) {
-        self.densify(text);
-        self.interpolate(text);
-        if let By::Component(c) = self.spec.by {
-            self.along(c, text);
-        }
-    }
-
     /// The polynomials' coefficients, from the derivatives at the stages and at those that only the
     /// dense output needs.
-    fn densify(&self, text: &mut String) {
-        let (tableau, degree) = (self.tableau, self.tableau.degree());
+    fn densify(&self, tableau: &Tableau, text: &mut String) {
+        let degree = tableau.degree();
         let names = |f: &dyn Fn(usize) -> String| (0..degree).map(f).collect::<Vec<_>>();
-        let _ = writeln!(
-            text,
-            "// y + h q (d0 + q (d1 + ...))\nstruct Dense {{ {}, }}",
-            names(&|m| format!("d{m}: Vector")).join(", ")
-        );
+        self.dense_structure(text);
         let _ = writeln!(
             text,
             "fn densify(y: Vector, k0: Vector, step: Step, h: real) -> Dense {{"
         );
-        self.stage_names(text);
+        self.stage_names(tableau, text);
         for (e, a) in tableau.extra.iter().enumerate() {
             let s = tableau.stages() + e;
             for c in 0..self.inputs {
@@ -152,7 +145,9 @@ impl Emitter<'_> {
                 arguments.join(", ")
             );
         }
-        let of: Vec<Vec<String>> = (0..self.dim).map(|c| self.powers(c, text)).collect();
+        let of: Vec<Vec<String>> = (0..self.dim)
+            .map(|c| self.powers(tableau, c, text))
+            .collect();
         let vectors = names(&|m| {
             let components: Vec<&str> = of.iter().map(|powers| powers[m].as_str()).collect();
             format!("Vector({})", components.join(", "))
@@ -162,8 +157,8 @@ impl Emitter<'_> {
 
     /// Coefficients of the powers of a component's polynomial, as expressions in the parts that are
     /// written first.
-    fn powers(&self, c: usize, text: &mut String) -> Vec<String> {
-        let (tableau, degree) = (self.tableau, self.tableau.degree());
+    fn powers(&self, tableau: &Tableau, c: usize, text: &mut String) -> Vec<String> {
+        let degree = tableau.degree();
         let parts: Vec<String> = (0..degree)
             .map(|i| {
                 let weights: Vec<f64> = tableau.dense.iter().map(|d| d[i]).collect();
@@ -198,7 +193,7 @@ impl Emitter<'_> {
 
     /// A component's polynomial by Horner's rule.
     fn horner(&self, c: usize) -> String {
-        let highest = self.tableau.degree() - 1;
+        let highest = self.scheme.degree() - 1;
         (0..highest)
             .rev()
             .fold(format!("d.d{highest}.c{c}"), |acc, m| {
@@ -206,8 +201,20 @@ impl Emitter<'_> {
             })
     }
 
+    /// Polynomials in the fraction of the step, made once for all points wanted in it.
+    pub(super) fn dense_structure(&self, text: &mut String) {
+        let names: Vec<String> = (0..self.scheme.degree())
+            .map(|m| format!("d{m}: Vector"))
+            .collect();
+        let _ = writeln!(
+            text,
+            "// y + h q (d0 + q (d1 + ...))\nstruct Dense {{ {}, }}",
+            names.join(", ")
+        );
+    }
+
     /// The vector at a fraction of the step.
-    fn interpolate(&self, text: &mut String) {
+    pub(super) fn interpolate(&self, text: &mut String) {
         let _ = writeln!(
             text,
             "fn interpolate(y: Vector, d: Dense, step: Step, h: real, q: real) -> Vector {{\n    if (q == 1.0) {{\n        \
@@ -220,8 +227,8 @@ impl Emitter<'_> {
     }
 
     /// The way of the sampling coordinate, which is this component.
-    fn along(&self, c: usize, text: &mut String) {
-        let degree = self.tableau.degree();
+    pub(super) fn along(&self, c: usize, text: &mut String) {
+        let degree = self.scheme.degree();
         let slope = (0..degree - 1).rev().fold(
             format!("{} * d.d{}.c{c}", self.number(degree as f64), degree - 1),
             |acc, m| {
@@ -240,8 +247,8 @@ impl Emitter<'_> {
         );
     }
 
-    fn stage_names(&self, text: &mut String) {
-        for s in 1..self.tableau.stages() {
+    fn stage_names(&self, tableau: &Tableau, text: &mut String) {
+        for s in 1..tableau.stages() {
             let _ = writeln!(text, "    let k{s} = step.k{s};");
         }
     }
@@ -269,7 +276,7 @@ impl Emitter<'_> {
             text,
             "fn total(y: Vector) -> real {{\n    return {sum};\n}}"
         );
-        if self.tableau.adaptive() {
+        if self.scheme.adaptive() {
             let _ = writeln!(
                 text,
                 "// Norm of v in units of the tolerance at y; free of overflow in f32."
