@@ -292,13 +292,26 @@ fn commit(lane: ptr<function, Lane>, step: Step, decided: Decision, run: Run) {
 }
 
 //if TAYLOR
+// The exponent of a number that is not negative; above BIAS where it is not finite.
+fn exponent_of(x: real) -> i32 {
+    return i32(bitcast<bits>(x) >> MANTISSA) - BIAS;
+}
+
+// Base-2 logarithm of a number that is not negative, whatever its size: coefficients of high order
+// exceed f32's range. What is below LEAST_LOG2 stops no step.
+fn log2_of(x: real) -> f32 {
+    let one = bits(u32(BIAS)) << MANTISSA;
+    let m = bitcast<real>((bitcast<bits>(x) & MANTISSA_MASK) | one);
+    return max(f32(exponent_of(x)) + log2(f32(m)), LEAST_LOG2);
+}
+
 // The step at which the last coefficients of an expansion are as large as the tolerance, from the
 // largest of them in units of it; 0 where they are not finite. Where a solution is a polynomial they
 // say nothing: steps grow by a bounded factor.
 fn reach_of(below: real, top: real, lane: Lane) -> real {
-    let finite = is_finite(below) & is_finite(top);
-    let a = exp2(-TO_LAST_BUT_ONE * log2(max(f32(below), LEAST_COEFFICIENT)));
-    let b = exp2(-TO_LAST * log2(max(f32(top), LEAST_COEFFICIENT)));
+    let finite = max(exponent_of(below), exponent_of(top)) <= BIAS;
+    let a = exp2(-TO_LAST_BUT_ONE * log2_of(below));
+    let b = exp2(-TO_LAST * log2_of(top));
     let most = select(lane.first_step * real(BEGIN), real(lane.before) * real(GROW), lane.before > 0.0);
     return select(0.0, min(real(TAYLOR_SAFETY * min(a, b)), most), finite);
 }

@@ -286,8 +286,7 @@ impl<'a> Emitter<'a> {
                 single("TO_LAST", 1.0 / order as f64);
                 single("TAYLOR_SAFETY", control::taylor_safety(order));
                 single("BEGIN", 1.0 / control::SHARE);
-                // What is smaller than that stops no step.
-                single("LEAST_COEFFICIENT", 1e-30);
+                single("LEAST_LOG2", -100.0);
             }
         }
         single("SHRINK", control::SHRINK);
