@@ -162,16 +162,22 @@ fn meet_kinks(decided: ptr<function, Decision>, lane: Lane, step: Step) {
 }
 //end
 
+// The lane's step as attempted: a Taylor step finds out how far it goes.
+fn take(lane: ptr<function, Lane>, run: Run) -> Step {
+    let step = attempt(*lane, run);
+//if TAYLOR
+    (*lane).h = step.h;
+//end
+    return step;
+}
+
 // One attempted step. A step that ends the trajectory in its middle, once in a trajectory, is left
 // to `conclude`.
 //
 // Some devices run both sides of a condition and every loop at least once. So what is rare stands
 // outside the loop over steps, and loops ask at their end whether to go on.
 fn advance(i: u32, lane: ptr<function, Lane>, run: Run) {
-    let step = attempt(*lane, run);
-//if TAYLOR
-    (*lane).h = step.h;
-//end
+    let step = take(lane, run);
     let decided = decide(*lane, step);
     (*lane).work += 1u;
     if (decided.accepted) {
@@ -319,10 +325,7 @@ fn reach_of(below: real, top: real, lane: Lane) -> real {
 
 // Takes the lane's step again and ends the trajectory at the first guard or the last level in it.
 fn conclude(i: u32, lane: ptr<function, Lane>, run: Run) {
-    let step = attempt(*lane, run);
-//if TAYLOR
-    (*lane).h = step.h;
-//end
+    let step = take(lane, run);
     let dense = densify((*lane).y, (*lane).k, step, (*lane).h);
     var most: real = 1.0;
     var ended = RUNNING;

@@ -7,7 +7,7 @@ use costate::backend::cpu::{Cpu, Simd};
 use costate::backend::{Backend, By, Guards, Run, Spec, Status, Trajectories};
 use costate::low_level::expr::{Fun, Graph, Id, Kind};
 use costate::low_level::model::{Method, Precision};
-use costate::low_level::program::Program;
+use costate::low_level::program::{Instr, Program};
 
 /// A system with seeds on a curve around the origin.
 struct Problem {
@@ -319,6 +319,43 @@ fn gpu_agrees_with_cpu() {
                 }
             }
         }
+    }
+}
+
+/// `x' = -((x + 0.3) - 0.3)`: a sum from which its constant is taken again is no rounding to an
+/// integer, as it is in elementary functions.
+#[test]
+fn a_constant_added_and_taken_away() {
+    let gpu = any_gpu();
+    let rate = Program {
+        inputs: 1,
+        code: vec![
+            Instr::Input(0),
+            Instr::Const(0.3),
+            Instr::Add(0, 1),
+            Instr::Sub(2, 1),
+            Instr::Neg(3),
+        ],
+        outputs: vec![4],
+    };
+    for method in METHODS {
+        let spec = Spec {
+            rate: rate.clone(),
+            guards: None,
+            kinks: None,
+            method,
+            precision: Precision::F64,
+            by: By::Time,
+            store: false,
+        };
+        let run = Run {
+            rtol: 1e-9,
+            atol: vec![1e-11],
+            ..run(vec![1.0])
+        };
+        let end = integrate(&gpu, &spec, &run, &[0.75]).end[0];
+        let exact = 0.75 * (-1.0f64).exp();
+        assert!((end - exact).abs() < 1e-7, "{method:?}: {end} for {exact}");
     }
 }
 

@@ -17,7 +17,6 @@ mod taylor;
 pub use evaluator::Evaluator;
 
 use super::{Backend, BackendError, Kernel, Legs, Run, Spec, Trajectories, Variant};
-use crate::integrator::Scheme;
 use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
@@ -198,7 +197,7 @@ impl Backend for Cpu {
 struct CpuKernel {
     spec: Spec,
     backend: Cpu,
-    /// Code by lanes, order and variant, made when first needed.
+    /// Code by lanes, degree of steps and variant, made when first needed.
     compiled: FxHashMap<(usize, usize, Variant), Compiled>,
     /// Of the latest batch, on the lanes.
     seconds: Option<f64>,
@@ -208,16 +207,12 @@ impl CpuKernel {
     fn compiled(&mut self, width: usize, run: &Run) -> &Compiled {
         let scheme = self.spec.method.scheme(run.rtol);
         let variant = run.variant();
-        let order = match scheme {
-            Scheme::RungeKutta(_) => 0,
-            Scheme::Taylor(order) => order,
-        };
         let (spec, compile) = (
             &self.spec,
             self.backend.compile.then_some(self.backend.simd),
         );
         let too_long = &self.backend.too_long;
-        (self.compiled.entry((width, order, variant))).or_insert_with(|| {
+        (self.compiled.entry((width, scheme.degree(), variant))).or_insert_with(|| {
             let made = Compiled::new(spec, scheme, variant, compile, width);
             if compile.is_some() && !made.is_compiled() {
                 too_long.store(true, Ordering::Relaxed);

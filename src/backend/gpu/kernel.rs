@@ -36,20 +36,15 @@ const MOST_WRITTEN_OUT: usize = 20_000;
 /// A tolerance at which a kernel's text is looked at before any run.
 const RTOL: f64 = 1e-6;
 
-/// The order of Taylor steps.
-fn order(scheme: Scheme) -> usize {
-    match scheme {
-        Scheme::RungeKutta(_) => 0,
-        Scheme::Taylor(order) => order,
-    }
-}
+/// What kernels of a spec differ by: the degree of steps, which Taylor's method takes from the
+/// tolerance, and the variant.
+type Key = (usize, Variant);
 
 pub(super) struct GpuKernel {
     device: Arc<Device>,
     spec: Spec,
     layout: wgpu::BindGroupLayout,
-    /// By the order of Taylor steps and the variant.
-    pipelines: FxHashMap<(usize, Variant), Pipelines>,
+    pipelines: FxHashMap<Key, Pipelines>,
     memory: Option<Memory>,
     /// Attempted steps a second over all trajectories, as measured so far.
     speed: Option<f64>,
@@ -59,23 +54,33 @@ pub(super) struct GpuKernel {
 }
 
 /// The whole text of a kernel's module.
-fn source(spec: &Spec, scheme: Scheme, variant: Variant) -> Source {
-    let mut fragments = integrator(&Emitter::new(spec, scheme, variant)).to_vec();
+fn source(spec: &Spec, scheme: Scheme, variant: Variant) -> Result<Source, BackendError> {
+    let mut fragments = integrator(&Emitter::new(spec, scheme, variant))?.to_vec();
     fragments.push(Fragment {
         name: "shaders/sweep.wgsl",
         text: include_str!("../../../shaders/sweep.wgsl").to_owned(),
     });
-    Source::new(&fragments)
+    Ok(Source::new(&fragments))
 }
 
 /// What all modules that integrate have in common.
-pub(super) fn integrator(emitter: &Emitter<'_>) -> [Fragment; 5] {
+///
+/// # Errors
+/// [`BackendError::TooLong`].
+pub(super) fn integrator(emitter: &Emitter<'_>) -> Result<[Fragment; 5], BackendError> {
+    let operations = emitter.written_out();
+    if operations > MOST_WRITTEN_OUT {
+        return Err(BackendError::TooLong {
+            operations,
+            limit: MOST_WRITTEN_OUT,
+        });
+    }
     let conditions = emitter.conditions();
     let mut block = conditional(include_str!("../../../shaders/block.wgsl"), &conditions);
     for (name, value) in emitter.names() {
         block = block.replace(name, &value);
     }
-    [
+    Ok([
         Fragment {
             name: "constants",
             text: emitter.constants(),
@@ -96,7 +101,7 @@ pub(super) fn integrator(emitter: &Emitter<'_>) -> [Fragment; 5] {
             name: "shaders/block.wgsl",
             text: block,
         },
-    ]
+    ])
 }
 
 /// The buffer of run settings, for these levels.
@@ -124,7 +129,7 @@ impl GpuKernel {
     pub fn new(device: Arc<Device>, spec: Spec) -> Result<Self, BackendError> {
         // Variants differ by checks that are added to this one, Taylor steps by their order.
         let scheme = spec.method.scheme(RTOL);
-        source(&spec, scheme, Variant::default()).validate(device.info.f64_arithmetic)?;
+        source(&spec, scheme, Variant::default())?.validate(device.info.f64_arithmetic)?;
         let layout = layout(&device, "kernel", bindings(spec.store));
         let clock = Clock::new(&device);
         device.check()?;
@@ -140,21 +145,14 @@ impl GpuKernel {
         })
     }
 
-    /// Makes the pipelines for a run where they are missing.
-    fn prepare(&mut self, run: &Run) -> Result<(), BackendError> {
+    /// Makes the pipelines for a run where they are missing, and says which they are.
+    fn prepare(&mut self, run: &Run) -> Result<Key, BackendError> {
         let (scheme, variant) = (self.spec.method.scheme(run.rtol), run.variant());
-        let key = (order(scheme), variant);
+        let key = (scheme.degree(), variant);
         if self.pipelines.contains_key(&key) {
-            return Ok(());
+            return Ok(key);
         }
-        let operations = Emitter::new(&self.spec, scheme, variant).written_out();
-        if operations > MOST_WRITTEN_OUT {
-            return Err(BackendError::TooLong {
-                operations,
-                limit: MOST_WRITTEN_OUT,
-            });
-        }
-        let source = source(&self.spec, scheme, variant);
+        let source = source(&self.spec, scheme, variant)?;
         source.validate(self.device.info.f64_arithmetic)?;
         let device = &self.device.device;
         let descriptor = wgpu::ShaderModuleDescriptor {
@@ -170,7 +168,7 @@ impl GpuKernel {
         let [start, sweep] = pipelines(&self.device, &[&self.layout], &module, ["start", "sweep"]);
         self.device.check()?;
         self.pipelines.insert(key, Pipelines { start, sweep });
-        Ok(())
+        Ok(key)
     }
 
     /// Levels the shader sees: all where they are stored, otherwise the last.
@@ -204,13 +202,12 @@ impl GpuKernel {
     fn part(
         &mut self,
         run: &Run,
-        variant: Variant,
+        key: Key,
         seeds: &[f64],
         shape: Shape,
         first: usize,
         result: &mut Trajectories,
     ) -> Result<(), BackendError> {
-        let key = (order(self.spec.method.scheme(run.rtol)), variant);
         self.allocate(shape)?;
         let (Some(memory), Some(pipelines)) = (&self.memory, self.pipelines.get(&key)) else {
             return Err(BackendError::Unwritten { index: 0 });
@@ -446,7 +443,7 @@ impl Kernel for GpuKernel {
         if count == 0 {
             return Ok(());
         }
-        self.prepare(run)?;
+        let key = self.prepare(run)?;
         let settings = Settings::new(dim, variant).levels + run.levels.len().max(1);
         let mut shape = Shape {
             trajectories: 1,
@@ -475,7 +472,7 @@ impl Kernel for GpuKernel {
         let most = most as usize;
         for (k, part) in seeds.chunks(most * dim).enumerate() {
             shape.trajectories = part.len() / dim;
-            self.part(run, variant, part, shape, k * most, to)?;
+            self.part(run, key, part, shape, k * most, to)?;
         }
         Ok(())
     }

@@ -121,11 +121,6 @@ pub fn statements(recorder: Recorder, precision: Precision, names_of: &impl Name
                     ),
                 }
             }
-            // A compiler may make `x` of `(x + magic) - magic`.
-            Op::Binary(Binary::Sub, a, m) if rounds(&ops, a, m) => match ops[a as usize] {
-                Op::Binary(_, x, _) => format!("round({})", name(x)),
-                _ => unreachable!("it is a sum"),
-            },
             Op::Binary(kind, a, b) => {
                 let operator = match kind {
                     Binary::Add => "+",
@@ -179,10 +174,4 @@ pub fn statements(recorder: Recorder, precision: Precision, names_of: &impl Name
         names.push((format!("v{i}"), is_truth));
     }
     text
-}
-
-/// Whether `a - m` rounds: `a` is a sum with the same constant.
-fn rounds(ops: &[Op], a: Value, m: Value) -> bool {
-    matches!(ops[m as usize], Op::Pattern(_))
-        && matches!(ops[a as usize], Op::Binary(Binary::Add, _, b) if b == m)
 }

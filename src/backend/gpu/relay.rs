@@ -87,10 +87,9 @@ impl GpuRelay {
             states: surface.states,
             last: surface.last,
         };
-        let mut fragments = integrator(
-            &Emitter::new(spec, spec.method.scheme(run.rtol), run.variant()).with_legs(law),
-        )
-        .to_vec();
+        let scheme = spec.method.scheme(run.rtol);
+        let emitter = Emitter::new(spec, scheme, run.variant()).with_legs(law);
+        let mut fragments = integrator(&emitter)?.to_vec();
         fragments.extend(surface.fragments.iter().cloned());
         fragments.push(Fragment {
             name: "shaders/legs.wgsl",

@@ -4,6 +4,8 @@
 
 mod allocate;
 mod encoder;
+#[cfg(test)]
+mod listing;
 // Encodings are tested on every machine, and run where the processor is of their kind.
 #[cfg(any(not(target_arch = "x86_64"), test))]
 mod neon;
@@ -136,7 +138,7 @@ impl Executable {
             pool.splat(parameters + k, *bits, precision);
         }
         #[cfg(target_arch = "aarch64")]
-        see(&memory);
+        synchronize(&memory);
         Some(Self {
             code: memory.make_exec().ok()?,
             pool,
@@ -214,7 +216,7 @@ type Code<T, const W: usize> = extern "C" fn(*mut Lanes<T, W>, *const Line, usiz
 /// Lets instructions be fetched as they were written: the caches of aarch64 do not see to it
 /// (DDI 0487, B2.7.4.2).
 #[cfg(target_arch = "aarch64")]
-fn see(code: &[u8]) {
+fn synchronize(code: &[u8]) {
     const LEAST_LINE: usize = 16;
     let lines =
         || (code.as_ptr() as usize..code.as_ptr() as usize + code.len()).step_by(LEAST_LINE);

@@ -1,18 +1,8 @@
-//! The encoder against what GNU as 2.40 makes of the same instructions, on doubles and on singles.
+//! The encoder against GNU as 2.40.
 
 use super::*;
-use crate::model::Precision::{F32, F64};
-
-/// An instruction, and of doubles and singles its text and words.
-type Row<'t> = (fn(&mut Assembler), [&'t str; 2], [&'t str; 2]);
-
-fn r(register: Register) -> Operand {
-    Operand::Register(register)
-}
-
-fn m(base: Base, offset: i32) -> Operand {
-    Operand::Memory(base, offset)
-}
+use crate::backend::cpu::jit::listing::{Row, agrees, m, r};
+use crate::model::Precision::F64;
 
 /// What is behind the first `skipped` bytes, as words.
 fn words(bytes: &[u8], skipped: usize) -> String {
@@ -23,7 +13,7 @@ fn words(bytes: &[u8], skipped: usize) -> String {
 
 #[test]
 fn instructions() {
-    let listing: &[Row<'_>] = &[
+    let listing: &[Row<'_, Assembler>] = &[
         (
             |a| a.binary(Binary::Add, 1, 2, r(3)),
             ["fadd v1.2d, v2.2d, v3.2d", "4e63d441"],
@@ -205,13 +195,11 @@ fn instructions() {
             ],
         ),
     ];
-    for (emit, doubles, singles) in listing {
-        for (precision, [text, want]) in [(F64, doubles), (F32, singles)] {
-            let mut assembler = Set::Neon.encoder(precision);
-            emit(&mut assembler);
-            assert_eq!(words(&assembler.bytes, assembler.prologue), *want, "{text}");
-        }
-    }
+    agrees(listing, |precision, emit| {
+        let mut assembler = Set::Neon.encoder(precision);
+        emit(&mut assembler);
+        words(&assembler.bytes, assembler.prologue)
+    });
 }
 
 /// One addition, repeated.
