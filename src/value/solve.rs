@@ -399,7 +399,7 @@ pub fn solve(
         .then(|| Cover::new(plan, model, plan.segment_duration(), &Cpu::new()))
         .transpose()?
         .map(|cover| cover.until(solver.deadline));
-    if !request.points.is_empty() && !cover.as_ref().is_some_and(Cover::has_cells) {
+    if !cover.as_ref().is_some_and(Cover::has_cells) {
         survey.direct = Direct::new(plan, model, plan.segment_duration())
             .map(|direct| direct.until(solver.deadline));
     }

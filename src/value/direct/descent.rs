@@ -20,9 +20,10 @@ const SETTLED: f64 = 1e-3;
 const SETTLING: usize = 10;
 /// Gaps, in widths, that count as closed.
 const CLOSED: f64 = 1e-4;
-/// Gaps that are larger after all steps under this barrier are not expected to close.
+/// Under so many of the barriers it shows where a guess leads; gaps that are larger after them are
+/// not expected to close.
+const BEGUN: usize = 2;
 const OPEN: f64 = 1e-2;
-const LAST_OPEN: usize = 1;
 /// Shares of the dynamics' curvature that are tried, until the problem is convex.
 const SHARES: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.0];
 /// Multipliers of bounds stay within this factor of the barrier's slope.
@@ -71,6 +72,8 @@ pub(super) struct Descent<'a> {
     x: Vec<f64>,
     u: Vec<f64>,
     steps: Steps,
+    /// Adjoints at the nodes; none before the first step.
+    p: Vec<f64>,
     /// Multipliers of the bounds below and above, `[step][m]`; 0 before the first step.
     duals: [Vec<f64>; 2],
     /// Penalty of the gaps' components, `[step][n]`.
@@ -197,52 +200,73 @@ impl<'a> Descent<'a> {
             curvature: (0..rates.controls).map(curvature).collect(),
             x,
             u,
+            p: Vec::new(),
             steps,
         })
     }
 
-    /// What the guess leads to; `None` where it leads nowhere.
-    pub fn run(mut self) -> Option<Found> {
-        let barriers = if self.problem.is_bounded() {
-            &BARRIERS[..]
-        } else {
-            &BARRIERS[BARRIERS.len() - 1..]
-        };
-        let mut p = Vec::new();
-        for (k, &barrier) in barriers.iter().enumerate() {
-            let is_last = k + 1 == barriers.len();
-            let (most, small) = if is_last {
-                (LAST_STEPS, DONE)
-            } else {
-                (STEPS, SMALL)
-            };
-            let mut costs = Vec::new();
-            for step in 0..most {
-                self.problem.deadline.check().ok()?;
-                let change = self.change(barrier, &p)?;
-                let size = self.advance(&change, barrier);
-                p = change.p;
-                if size.is_none_or(|size| size <= small) {
-                    break;
-                }
-                costs.push(self.cost(&self.x, &self.steps));
-                let settled = (step.checked_sub(SETTLING)).is_some_and(|before| {
-                    (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs()
-                });
-                if settled && self.largest_gap() < CLOSED {
-                    break;
-                }
-                if k == LAST_OPEN && step + 1 == most && self.largest_gap() > OPEN {
-                    return None;
-                }
+    /// Steps until it shows what the guess leads to, if anywhere: under the first barriers, or
+    /// without bounds until they are small.
+    pub fn begin(&mut self) -> Option<()> {
+        if !self.problem.is_bounded() {
+            return self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, SMALL);
+        }
+        for barrier in &BARRIERS[..BEGUN] {
+            self.descend(*barrier, STEPS, SMALL)?;
+        }
+        (self.largest_gap() <= OPEN).then_some(())
+    }
+
+    /// What it leads to at last; `None` where that is nowhere.
+    pub fn finish(mut self) -> Option<Found> {
+        let (last, first) = BARRIERS.split_last()?;
+        if self.problem.is_bounded() {
+            for barrier in &first[BEGUN..] {
+                self.descend(*barrier, STEPS, SMALL)?;
             }
         }
+        self.descend(*last, LAST_STEPS, DONE)?;
         let rows = |v: &[f64]| v.chunks(self.rates.states).map(<[f64]>::to_vec).collect();
         (self.largest_gap() < CLOSED).then(|| Found {
             cost: self.cost(&self.x, &self.steps),
             states: rows(&self.x),
-            adjoints: rows(&p),
+            adjoints: rows(&self.p),
         })
+    }
+
+    /// Steps under a barrier, at most so many, until one is as small as that or the cost settles.
+    fn descend(&mut self, barrier: f64, most: usize, small: f64) -> Option<()> {
+        let mut costs = Vec::new();
+        for step in 0..most {
+            self.problem.deadline.check().ok()?;
+            let change = self.change(barrier)?;
+            let size = self.advance(&change, barrier);
+            self.p = change.p;
+            if size.is_none_or(|size| size <= small) {
+                break;
+            }
+            costs.push(self.cost(&self.x, &self.steps));
+            let settled = (step.checked_sub(SETTLING)).is_some_and(|before| {
+                (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs()
+            });
+            if settled && self.largest_gap() < CLOSED {
+                break;
+            }
+        }
+        Some(())
+    }
+
+    /// Cost as it is now.
+    pub fn costs(&self) -> f64 {
+        self.cost(&self.x, &self.steps)
+    }
+
+    /// Largest distance of the states at a time from those of another, in widths.
+    pub fn apart(&self, other: &Self) -> f64 {
+        let widths = self.problem.widths.iter().cycle();
+        (self.x.iter().zip(&other.x).zip(widths))
+            .map(|((a, b), width)| (a - b).abs() / width)
+            .fold(0.0, f64::max)
     }
 
     /// In widths.
@@ -331,14 +355,13 @@ impl<'a> Descent<'a> {
                 .sum::<f64>()
     }
 
-    /// The step that solves the linear-quadratic problem along the guess, which adjoints `p` belong
-    /// to, if there are any.
-    fn change(&mut self, barrier: f64, p: &[f64]) -> Option<Change> {
+    /// The step that solves the linear-quadratic problem along the guess.
+    fn change(&mut self, barrier: f64) -> Option<Change> {
         let n = self.rates.states;
         let slopes = self
             .rates
-            .slopes(&self.steps, self.problem.step, p.get(n..));
-        let shares = if p.is_empty() { &[0.0] } else { &SHARES[..] };
+            .slopes(&self.steps, self.problem.step, self.p.get(n..));
+        let shares = if self.p.is_empty() { &[0.0] } else { &SHARES[..] };
         let change = shares
             .iter()
             .find_map(|share| self.change_by(barrier, &slopes, *share))?;

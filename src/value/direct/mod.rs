@@ -18,7 +18,6 @@ use crate::value::flight::homeward;
 use descent::{Descent, Transcription};
 use rayon::prelude::*;
 use stage::Rates;
-use std::ops::Range;
 
 /// Length of the horizon in times of the slowest mode of the closed loop.
 const HORIZON: f64 = 10.0;
@@ -32,6 +31,12 @@ const STIFF: f64 = 2.0;
 const VIA: f64 = 1.6;
 /// Share of the cost that may be left at the end of the horizon.
 const LEFT: f64 = 0.05;
+/// Share of the cost and of widths within which two guesses are on their way to one trajectory.
+const ALIKE: f64 = 0.01;
+/// Share of the least cost within which others are about the same.
+const SAME_COST: f64 = 0.03;
+/// What costs more than this many times the least is not followed to its end.
+const DEAR: f64 = 3.0;
 
 /// Trajectories of a scene, optimized directly.
 pub struct Direct<'a> {
@@ -47,6 +52,24 @@ pub struct Direct<'a> {
 pub struct Optimized {
     pub cost: f64,
     pub path: Path,
+}
+
+/// What a round of guesses led to.
+#[derive(Default)]
+pub struct Round {
+    /// Each trajectory once.
+    pub found: Vec<Optimized>,
+    /// What each guess that led anywhere came to, about: trajectories that turned out to be like
+    /// another one's, or far too dear, were not followed to their ends.
+    pub costs: Vec<f64>,
+}
+
+impl Round {
+    /// Whether all guesses lead to about the same cost.
+    pub fn is_plain(&self) -> bool {
+        let least = self.costs.iter().copied().fold(f64::INFINITY, f64::min);
+        (self.costs.iter()).all(|cost| *cost <= least + SAME_COST * least.abs())
+    }
 }
 
 impl<'a> Direct<'a> {
@@ -102,19 +125,49 @@ impl<'a> Direct<'a> {
         self
     }
 
-    /// What comes of guesses with these numbers from a state, a deviation.
-    pub fn optimized(&self, s: &[f64], guesses: Range<u64>, end: &End) -> Vec<Optimized> {
+    /// What comes of guesses with these numbers from a state, a deviation, where it does not cost
+    /// much more than `most`.
+    pub fn optimized(&self, s: &[f64], guesses: &[u64], most: f64, end: &End) -> Round {
         let copies = self.copies(s);
-        (guesses.into_par_iter())
-            .flat_map_iter(|k| copies.iter().map(move |from| (k, from)))
+        let mut begun: Vec<(f64, Descent<'_>)> = (guesses.par_iter())
+            .flat_map_iter(|k| copies.iter().map(move |from| (*k, from)))
             .filter_map(|(k, from)| {
                 let guess = self.guess(from, k);
-                self.path(
-                    Descent::new(&self.rates, &self.problem, &guess)?.run()?,
-                    end,
-                )
+                let mut descent = Descent::new(&self.rates, &self.problem, &guess)?;
+                descent.begin()?;
+                Some((descent.costs(), descent))
             })
-            .collect()
+            .collect();
+        begun.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let Some(least) = begun.first().map(|(cost, _)| *cost) else {
+            return Round::default();
+        };
+        let worth = above(least).min(above(most));
+        // Those that are on their way to the same trajectory, by the first of them.
+        let mut ways: Vec<(f64, Descent<'_>, usize)> = Vec::new();
+        let mut costs = Vec::new();
+        for (cost, descent) in begun {
+            if cost > worth {
+                costs.push(cost);
+                continue;
+            }
+            let is_like = |way: &(f64, Descent<'_>, usize)| {
+                cost - way.0 <= ALIKE * way.0.abs() && descent.apart(&way.1) <= ALIKE
+            };
+            match ways.iter_mut().find(|way| is_like(way)) {
+                Some(way) => way.2 += 1,
+                None => ways.push((cost, descent, 1)),
+            }
+        }
+        let finished: Vec<(Optimized, usize)> = (ways.into_par_iter())
+            .filter_map(|(_, descent, times)| Some((self.path(descent.finish()?, end)?, times)))
+            .collect();
+        let of_each = |(o, times): &(Optimized, usize)| std::iter::repeat_n(o.cost, *times);
+        costs.extend(finished.iter().flat_map(of_each));
+        Round {
+            found: finished.into_iter().map(|(o, _)| o).collect(),
+            costs,
+        }
     }
 
     /// A state and its copies by a period, as far as they may lead to the equilibrium at less cost.
@@ -202,6 +255,11 @@ impl<'a> Direct<'a> {
             path,
         })
     }
+}
+
+/// Cost up to which trajectories are followed to their ends where another one costs so much.
+fn above(cost: f64) -> f64 {
+    cost + (DEAR - 1.0) * cost.abs()
 }
 
 /// The state at a time on straight ways between timed states; the last one after them.

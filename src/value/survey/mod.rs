@@ -11,6 +11,7 @@ mod admissible;
 mod aimed;
 mod beside;
 mod checked;
+mod company;
 mod covered;
 mod folds;
 mod greedy;
@@ -242,6 +243,7 @@ impl<'a> Survey<'a> {
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
+        self.search_in_company(solver, wanted, progress)?;
         // Nothing behind a fold counts in a game.
         if wanted.sheets && !self.plan.game {
             self.around_folds(solver, wanted, progress)?;

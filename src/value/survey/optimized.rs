@@ -15,10 +15,9 @@ const SAME: f64 = 0.01;
 /// Times that the cheapest trajectory is to be found; or, of all that was found, one in so many.
 const TIMES: usize = 3;
 const ONE_OF: usize = 8;
-/// Guesses and times where all guesses from these many states over the region, most of which lead
-/// somewhere, lead to costs that are alike.
+/// Guesses and times where from these many states over the region, most of which lead somewhere,
+/// all guesses lead to costs that are alike.
 const PROBES: usize = 16;
-const ALIKE: f64 = 0.03;
 const PLAIN: (u64, usize) = (3, 1);
 /// Another trajectory that costs at most this many times the cheapest leaves it in doubt.
 const RIVAL: f64 = 3.0;
@@ -55,14 +54,13 @@ impl Survey<'_> {
         for round in 0..ROUNDS {
             let mut found: Vec<(usize, Optimized)> = Vec::new();
             for &target in &left {
-                let guesses = round * count..(round + 1) * count;
-                let mut optimized =
-                    direct.optimized(&self.state(target, 0), guesses, &solver.scheme.end);
+                let guesses: Vec<u64> = (round * count..(round + 1) * count).collect();
+                let s = self.state(target, 0);
+                let round = direct.optimized(&s, &guesses, f64::INFINITY, &solver.scheme.end);
                 solver.deadline.check()?;
-                optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
                 self.starts[target] += count as u32;
-                costs[target].extend(optimized.iter().map(|o| o.cost));
-                found.extend(self.promising(target, optimized));
+                costs[target].extend(round.costs);
+                found.extend(self.promising(target, round.found));
             }
             self.solve_from(solver, found)?;
             progress(
@@ -99,15 +97,12 @@ impl Survey<'_> {
                 .zip(&self.plan.system.reference)
                 .map(|(x, r)| x - r)
                 .collect();
-            let found = direct.optimized(&s, 0..GUESSES, &solver.scheme.end);
-            let least = found.iter().map(|o| o.cost).fold(f64::INFINITY, f64::min);
-            if found
-                .iter()
-                .any(|other| other.cost > super::times(1.0 + ALIKE, least))
-            {
+            let guesses: Vec<u64> = (0..GUESSES).collect();
+            let round = direct.optimized(&s, &guesses, f64::INFINITY, &solver.scheme.end);
+            if !round.is_plain() {
                 return false;
             }
-            led += usize::from(!found.is_empty());
+            led += usize::from(!round.costs.is_empty());
         }
         led >= PROBES - PROBES / 4
     }
@@ -121,7 +116,8 @@ impl Survey<'_> {
     }
 
     /// The cheapest of what was found for a target, by rising cost, those that differ.
-    fn promising(&self, target: usize, optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
+    fn promising(&self, target: usize, mut optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
+        optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let known =
             (optimized.first()).map_or(f64::INFINITY, |o| o.cost.min(self.least_value(target)));
         let mut worth: Vec<(usize, Optimized)> = Vec::new();
@@ -134,7 +130,7 @@ impl Survey<'_> {
         worth
     }
 
-    fn solve_from(
+    pub(super) fn solve_from(
         &mut self,
         solver: &mut Solver,
         found: Vec<(usize, Optimized)>,

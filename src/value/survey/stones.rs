@@ -40,8 +40,9 @@ impl Survey<'_> {
             .filter(|t| !self.targets.gridded[*t] && !self.is_refused(*t))
             .filter(|t| !solver.scheme.end.covers(&self.state(*t, 0)))
             .collect();
-        if let Some(direct) = self.direct.take().filter(|_| !doubtful.is_empty()) {
+        if let Some(direct) = (!doubtful.is_empty()).then(|| self.direct.take()).flatten() {
             doubtful = self.try_optimized(solver, &direct, &doubtful, progress)?;
+            self.direct = Some(direct);
         }
         if !doubtful.is_empty() {
             self.over_stones(solver, archive, cover, wanted, &doubtful)?;

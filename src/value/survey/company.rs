@@ -1,0 +1,118 @@
+//! Guesses for states of a grid from trajectories that are optimized directly, where nothing shows
+//! which extremals there are: as many states as there is need for.
+
+use super::spread::Effort;
+use super::{Progress, Survey, Wanted, times};
+use crate::backend::BackendError;
+use crate::numeric::random::uniform;
+use crate::shooting::{End, Solver};
+use crate::value::direct::{Direct, Optimized, Round};
+use crate::value::extremal::is_elsewhere;
+use rayon::prelude::*;
+
+/// States that are looked at together.
+const TOGETHER: usize = 16;
+/// Guesses for a state: the first ones are the same for all, the others differ from one state to
+/// the next, since what is found at one is tried at its neighbours.
+const FIRST: u64 = 2;
+const FURTHER: u64 = 10;
+const TURNS: u64 = 8;
+/// Of as many states in turn, at random places, none has to be found cheaper for the others to be
+/// left.
+const QUIET: usize = 64;
+/// States, all guesses from which lead to about the same cost, after which no others are looked at
+/// but those without a solution.
+const PLAIN: usize = TOGETHER;
+/// Trajectories that cost at most this many times the least are solved from.
+const ABOVE: f64 = 1.01;
+/// A state is found cheaper by this share of its cost.
+const CHEAPER: f64 = 1e-6;
+
+impl Survey<'_> {
+    /// Looks for cheaper ways from states of a grid, at random places, until so many in turn have
+    /// none; what is found is tried at the neighbours.
+    pub(super) fn search_in_company(
+        &mut self,
+        solver: &mut Solver,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let Some(direct) = self.direct.take() else {
+            return Ok(());
+        };
+        let mut order: Vec<usize> = (0..self.targets.len())
+            .filter(|t| self.targets.gridded[*t] && !self.is_refused(*t))
+            .filter(|t| !solver.scheme.end.covers(&self.state(*t, 0)))
+            .collect();
+        order.sort_by(|a, b| {
+            let place = |t: &usize| uniform(*t as u64, 0);
+            place(a).total_cmp(&place(b))
+        });
+        let (mut quiet, mut looked) = (0, 0);
+        let mut is_plain = true;
+        for together in order.chunks(TOGETHER) {
+            let is_done = quiet >= QUIET || is_plain && looked >= PLAIN;
+            let now: Vec<usize> = (together.iter().copied())
+                .filter(|t| !is_done || self.is_open(*t))
+                .collect();
+            let rounds = self.rounds(&solver.scheme.end, &direct, &now, looked as u64);
+            solver.deadline.check()?;
+            looked += now.len();
+            is_plain &= rounds.iter().all(Round::is_plain);
+            let before: Vec<f64> = now.iter().map(|t| self.least_value(*t)).collect();
+            let mut found = Vec::new();
+            for (&target, round) in now.iter().zip(rounds) {
+                self.starts[target] += (FIRST + FURTHER) as u32;
+                found.extend(self.unknown(target, round.found));
+            }
+            self.solve_from(solver, found)?;
+            let is_cheaper =
+                |(t, before): (&usize, f64)| self.least_value(*t) < times(1.0 - CHEAPER, before);
+            let cheaper = now.iter().zip(before).filter(|x| is_cheaper(*x)).count();
+            eprintln!("looked {looked} plain {is_plain} quiet {quiet} cheaper {cheaper}");
+            if cheaper == 0 {
+                quiet += now.len();
+                continue;
+            }
+            (quiet, is_plain) = (0, false);
+            self.spread(solver, wanted, Effort::Neighbours, progress)?;
+            progress("from optimized trajectories", self.solved(), self.targets.len());
+        }
+        self.direct = Some(direct);
+        Ok(())
+    }
+
+    /// What guesses lead to from some states.
+    fn rounds(
+        &self,
+        end: &End,
+        direct: &Direct<'_>,
+        targets: &[usize],
+        turn: u64,
+    ) -> Vec<Round> {
+        let asked: Vec<_> = (targets.iter().enumerate())
+            .map(|(k, target)| {
+                let turn = (turn + k as u64) % TURNS;
+                let further = (0..FURTHER).map(|g| FIRST + turn * FURTHER + g);
+                let guesses: Vec<u64> = (0..FIRST).chain(further).collect();
+                let most = self.least_value(*target).min(self.targets.limits[*target]);
+                (self.state(*target, 0), guesses, most)
+            })
+            .collect();
+        (asked.par_iter())
+            .map(|(s, guesses, most)| direct.optimized(s, guesses, *most, end))
+            .collect()
+    }
+
+    /// Trajectories that may cost less than what is known at their target, and are none of it.
+    fn unknown(&self, target: usize, found: Vec<Optimized>) -> Vec<(usize, Optimized)> {
+        let most = times(ABOVE, self.least_value(target));
+        let is_unknown = |o: &Optimized| {
+            let known = |e: &usize| !is_elsewhere(&self.extremals[*e], o.path.node(0), &self.scales);
+            o.cost <= most && !self.at[target].iter().any(known)
+        };
+        (found.into_iter().filter(is_unknown))
+            .map(|o| (target, o))
+            .collect()
+    }
+}
