@@ -38,6 +38,7 @@ const MERIT: f64 = 1.5;
 const FADING: f64 = 0.7;
 
 /// Times of a transcribed problem, bounds and scales.
+#[derive(Clone)]
 pub(super) struct Transcription {
     pub step: f64,
     pub count: usize,
@@ -62,6 +63,8 @@ pub(super) struct Found {
     pub cost: f64,
     pub states: Vec<Vec<f64>>,
     pub adjoints: Vec<Vec<f64>>,
+    /// `[step][m]`.
+    pub controls: Vec<f64>,
 }
 
 /// A guess on its way to a trajectory.
@@ -174,8 +177,17 @@ impl Recursion {
 
 impl<'a> Descent<'a> {
     pub fn new(rates: &'a Rates, problem: &'a Transcription, guess: &[Vec<f64>]) -> Option<Self> {
-        let x = guess.concat();
         let u = problem.middle.repeat(problem.count);
+        Self::from(rates, problem, guess.concat(), u)
+    }
+
+    /// From states and controls.
+    pub fn from(
+        rates: &'a Rates,
+        problem: &'a Transcription,
+        x: Vec<f64>,
+        u: Vec<f64>,
+    ) -> Option<Self> {
         let steps = rates.steps(&x, &u, problem.step)?;
         let (n, m) = (rates.states, rates.controls);
         let first = rates.slopes(
@@ -219,19 +231,31 @@ impl<'a> Descent<'a> {
 
     /// What it leads to at last; `None` where that is nowhere.
     pub fn finish(mut self) -> Option<Found> {
-        let (last, first) = BARRIERS.split_last()?;
         if self.problem.is_bounded() {
-            for barrier in &first[BEGUN..] {
+            for barrier in &BARRIERS[BEGUN..BARRIERS.len() - 1] {
                 self.descend(*barrier, STEPS, SMALL)?;
             }
         }
-        self.descend(*last, LAST_STEPS, DONE)?;
+        self.end()
+    }
+
+    fn end(mut self) -> Option<Found> {
+        self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, DONE)?;
         let rows = |v: &[f64]| v.chunks(self.rates.states).map(<[f64]>::to_vec).collect();
         (self.largest_gap() < CLOSED).then(|| Found {
             cost: self.cost(&self.x, &self.steps),
             states: rows(&self.x),
             adjoints: rows(&self.p),
+            controls: self.u,
         })
+    }
+
+    /// The same as [`Self::finish`] from what is nearly a trajectory.
+    pub fn mend(mut self) -> Option<Found> {
+        if self.problem.is_bounded() {
+            self.descend(BARRIERS[BARRIERS.len() - 2], STEPS, SMALL)?;
+        }
+        self.end()
     }
 
     /// Steps under a barrier, at most so many, until one is as small as that or the cost settles.

@@ -15,7 +15,7 @@ use crate::numeric::random::uniform;
 use crate::shooting::{End, Path};
 use crate::sweep::Plan;
 use crate::value::flight::homeward;
-use descent::{Descent, Transcription};
+use descent::{Descent, Found, Transcription};
 use rayon::prelude::*;
 use stage::Rates;
 
@@ -35,6 +35,9 @@ const LEFT: f64 = 0.05;
 const ALIKE: f64 = 0.01;
 /// Share of the least cost within which others are about the same.
 const SAME_COST: f64 = 0.03;
+/// Parts into which steps are divided once more.
+const LEAST_PARTS: usize = 2;
+const MOST_PARTS: usize = 8;
 /// What costs more than this many times the least is not followed to its end.
 const DEAR: f64 = 3.0;
 
@@ -52,6 +55,7 @@ pub struct Direct<'a> {
 pub struct Optimized {
     pub cost: f64,
     pub path: Path,
+    found: Found,
 }
 
 /// What a round of guesses led to.
@@ -160,7 +164,7 @@ impl<'a> Direct<'a> {
             }
         }
         let finished: Vec<(Optimized, usize)> = (ways.into_par_iter())
-            .filter_map(|(_, descent, times)| Some((self.path(descent.finish()?, end)?, times)))
+            .filter_map(|(_, descent, times)| Some((self.path(descent.finish()?, &self.problem, end)?, times)))
             .collect();
         let of_each = |(o, times): &(Optimized, usize)| std::iter::repeat_n(o.cost, *times);
         costs.extend(finished.iter().flat_map(of_each));
@@ -231,21 +235,58 @@ impl<'a> Direct<'a> {
         }
     }
 
+    /// A trajectory with shorter steps, as long as it is on its way: what is narrow is passed at
+    /// other costs, and controls switch at times between the steps.
+    pub fn refined(&self, one: &Optimized, end: &End) -> Option<Optimized> {
+        let (states, controls) = (&one.found.states, &one.found.controls);
+        let (n, m) = (self.rates.states, self.rates.controls);
+        let on_its_way = self.arrival(states);
+        let parts = (self.problem.count / on_its_way.max(1)).clamp(LEAST_PARTS, MOST_PARTS);
+        let problem = Transcription {
+            step: self.problem.step / parts as f64,
+            count: parts * on_its_way,
+            ..self.problem.clone()
+        };
+        let mut x: Vec<f64> = Vec::with_capacity((problem.count + 1) * n);
+        let mut u = Vec::with_capacity(problem.count * m);
+        for k in 0..on_its_way {
+            let control = &controls[k * m..][..m];
+            let mut at = states[k].clone();
+            for _ in 0..parts {
+                x.extend_from_slice(&at);
+                u.extend_from_slice(control);
+                at = self.rates.steps(&at, control, problem.step)?.next;
+            }
+        }
+        x.extend_from_slice(&states[on_its_way]);
+        let found = Descent::from(&self.rates, &problem, x, u)?.mend()?;
+        self.path(found, &problem, end)
+    }
+
+    /// The first node that is near the equilibrium; the last one where none is.
+    fn arrival(&self, states: &[Vec<f64>]) -> usize {
+        let is_near = |s: &Vec<f64>| {
+            let local = self.plan.local.as_ref();
+            local.is_some_and(|local| local.quadratic(s) <= local.seed_value)
+        };
+        states.iter().position(is_near).unwrap_or(states.len() - 1)
+    }
+
     /// A path for the boundary value problem, if what was found comes home.
-    fn path(&self, found: descent::Found, end: &End) -> Option<Optimized> {
+    fn path(&self, found: Found, problem: &Transcription, end: &End) -> Option<Optimized> {
         let local = self.plan.local.as_ref()?;
         let last = found.states.len() - 1;
         if local.quadratic(&found.states[last]) > LEFT * found.cost.abs() {
             return None;
         }
         let node = |k: usize| [found.states[k].as_slice(), &found.adjoints[k]].concat();
-        let every = ((self.duration / self.problem.step).floor() as usize).max(1);
+        let every = ((self.duration / problem.step).floor() as usize).max(1);
         let mut path = Path::new(&node(0));
         let mut at = 0;
         // What is near the equilibrium follows the local solution.
         while at < last && local.quadratic(&found.states[at]) > local.seed_value {
             let next = (at + every).min(last);
-            path.push((next - at) as f64 * self.problem.step, &node(next));
+            path.push((next - at) as f64 * problem.step, &node(next));
             at = next;
         }
         let (nodes, durations) = end.tail(&found.states[at], found.cost, self.duration);
@@ -253,6 +294,7 @@ impl<'a> Direct<'a> {
         Some(Optimized {
             cost: found.cost,
             path,
+            found,
         })
     }
 }

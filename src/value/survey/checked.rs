@@ -191,7 +191,7 @@ impl Survey<'_> {
             }
             along.push(near);
         }
-        let claims: Vec<Claim<'_>> = (claimed.iter().enumerate())
+        let mut claims: Vec<Claim<'_>> = (claimed.iter().enumerate())
             .filter_map(|(k, t)| {
                 let lowest = &self.extremals[self.lowest(*t)?];
                 Some(Claim {
@@ -205,6 +205,19 @@ impl Survey<'_> {
                 })
             })
             .collect();
+        // What was optimized and not solved for comes first.
+        for (target, path) in &self.lost {
+            let Some(k) = targets.iter().position(|t| t == target) else {
+                continue;
+            };
+            let lost = claims.len();
+            claims[k].neighbours.insert(0, lost);
+            claims.push(Claim {
+                value: f64::NEG_INFINITY,
+                path,
+                neighbours: Vec::new(),
+            });
+        }
         let said = undercut(self.plan, pilot, solver, &claims, NEIGHBOURS)?;
         let mut found = Vec::new();
         for (&target, said) in targets.iter().zip(said) {

@@ -1,6 +1,7 @@
 //! Guesses for states of a grid from trajectories that are optimized directly, where nothing shows
 //! which extremals there are: as many states as there is need for.
 
+use super::optimized::OFF;
 use super::spread::Effort;
 use super::{Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
@@ -63,9 +64,12 @@ impl Survey<'_> {
             let mut found = Vec::new();
             for (&target, round) in now.iter().zip(rounds) {
                 self.starts[target] += (FIRST + FURTHER) as u32;
+                if std::env::var("SHOW").is_ok_and(|t| t == target.to_string()) {
+                    eprintln!("SHOW {} {:?} found {:?} costs {:?} known {:?}", target, self.targets.state(target), round.found.iter().map(|o| o.cost).collect::<Vec<_>>(), round.costs, self.at[target].iter().map(|e| self.extremals[*e].value()).collect::<Vec<_>>());
+                }
                 found.extend(self.unknown(target, round.found));
             }
-            self.solve_from(solver, found)?;
+            self.solve_from(solver, &direct, found)?;
             let is_cheaper =
                 |(t, before): (&usize, f64)| self.least_value(*t) < times(1.0 - CHEAPER, before);
             let cheaper = now.iter().zip(before).filter(|x| is_cheaper(*x)).count();
@@ -104,14 +108,19 @@ impl Survey<'_> {
             .collect()
     }
 
-    /// Trajectories that may cost less than what is known at their target, and are none of it.
+    /// Trajectories that may cost less than what is known at their target, and are none of it: ways
+    /// about an obstacle may begin with one adjoint, and only their costs tell them apart.
     fn unknown(&self, target: usize, found: Vec<Optimized>) -> Vec<(usize, Optimized)> {
         let most = times(ABOVE, self.least_value(target));
-        let is_unknown = |o: &Optimized| {
-            let known = |e: &usize| !is_elsewhere(&self.extremals[*e], o.path.node(0), &self.scales);
-            o.cost <= most && !self.at[target].iter().any(known)
+        let is_known = |o: &Optimized| {
+            let mut known = self.at[target].iter().map(|e| &self.extremals[*e]);
+            known.any(|e| {
+                (e.value() - o.cost).abs() <= OFF * e.value().abs()
+                    && !is_elsewhere(e, o.path.node(0), &self.scales)
+            })
         };
-        (found.into_iter().filter(is_unknown))
+        (found.into_iter())
+            .filter(|o| o.cost <= most && !is_known(o))
             .map(|o| (target, o))
             .collect()
     }

@@ -129,6 +129,9 @@ pub struct Survey<'a> {
     flights: Vec<u32>,
     /// Cost of a flight along the answer itself, of listed states.
     flown: Vec<Option<f64>>,
+    /// Trajectories that were optimized directly and cost less than what is known at a target: no
+    /// solution was found from them.
+    lost: Vec<(usize, Path)>,
     /// Ways from targets to neighbours that were tried at once.
     leapt: Followed,
     /// Trajectories from which ways to a target were tried.
@@ -198,6 +201,7 @@ impl<'a> Survey<'a> {
             bounds: vec![None; targets.len()],
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
+            lost: Vec::new(),
             leapt: Followed::default(),
             tried: FxHashSet::default(),
             stopped: false,

@@ -4,6 +4,7 @@ use super::{Progress, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::direct::{Direct, Optimized};
+use rayon::prelude::*;
 
 /// Guesses that are optimized in a round, and rounds at most.
 const GUESSES: u64 = 12;
@@ -24,6 +25,8 @@ const RIVAL: f64 = 3.0;
 /// Trajectories that cost at most this many times the least are solved from, and so many of them.
 const ABOVE: f64 = 1.3;
 const TRIED: usize = 4;
+/// Share by which the cost of what was optimized is off, at most where it is smooth.
+pub(super) const OFF: f64 = 2e-3;
 /// Shortest steps, as shares of the way.
 const FROM_OPTIMIZED: f64 = 1.0 / 16.0;
 
@@ -62,7 +65,7 @@ impl Survey<'_> {
                 costs[target].extend(round.costs);
                 found.extend(self.promising(target, round.found));
             }
-            self.solve_from(solver, found)?;
+            self.solve_from(solver, direct, found)?;
             progress(
                 "from optimized trajectories",
                 self.solved(),
@@ -130,21 +133,48 @@ impl Survey<'_> {
         worth
     }
 
+    /// Solves along trajectories that were optimized; what that does not lead to is optimized with
+    /// shorter steps. What is cheaper than all solutions after that is kept, to be flown along.
     pub(super) fn solve_from(
         &mut self,
         solver: &mut Solver,
-        found: Vec<(usize, Optimized)>,
+        direct: &Direct<'_>,
+        mut found: Vec<(usize, Optimized)>,
+    ) -> Result<(), BackendError> {
+        self.solve_along_all(solver, &found)?;
+        let is_lost = |survey: &Self, (target, one): &(usize, Optimized)| {
+            times(1.0 + OFF, one.cost) < survey.least_value(*target)
+        };
+        found.retain(|one| is_lost(self, one));
+        let end = &solver.scheme.end;
+        found = (found.into_par_iter())
+            .filter_map(|(target, one)| Some((target, direct.refined(&one, end)?)))
+            .collect();
+        solver.deadline.check()?;
+        found.retain(|one| is_lost(self, one));
+        self.solve_along_all(solver, &found)?;
+        found.retain(|one| is_lost(self, one));
+        for (target, one) in found {
+            eprintln!("LOST {target} {:?} {} {}", self.targets.state(target), one.cost, self.least_value(target));
+            self.lost.push((target, one.path));
+        }
+        Ok(())
+    }
+
+    fn solve_along_all(
+        &mut self,
+        solver: &mut Solver,
+        found: &[(usize, Optimized)],
     ) -> Result<(), BackendError> {
         let mut tasks = Vec::new();
-        for (target, one) in &found {
+        for (target, one) in found {
             tasks.extend(self.task_along(*target, one.path.clone(), FROM_OPTIMIZED));
         }
         self.send(solver, tasks)?;
         // What is too rough a guess as a whole is followed from its end.
-        let rough = found
-            .into_iter()
-            .filter(|(t, o)| times(1.0 + SAME, o.cost) < self.least_value(*t))
-            .map(|(t, o)| (t, o.path));
+        let rough = (found.iter())
+            .filter(|(t, o)| times(1.0 + OFF, o.cost) < self.least_value(*t))
+            .map(|(t, o)| (*t, o.path.clone()));
         let rough = rough.collect();
         self.send_grown(solver, rough, FROM_OPTIMIZED)?;
         Ok(())
