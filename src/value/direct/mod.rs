@@ -38,6 +38,8 @@ const SAME_COST: f64 = 0.03;
 /// Parts into which steps are divided once more.
 const LEAST_PARTS: usize = 2;
 const MOST_PARTS: usize = 8;
+/// Share of the usual duration that its segments have.
+const SHORT: f64 = 1.0 / 16.0;
 /// What costs more than this many times the least is not followed to its end.
 const DEAR: f64 = 3.0;
 
@@ -164,7 +166,7 @@ impl<'a> Direct<'a> {
             }
         }
         let finished: Vec<(Optimized, usize)> = (ways.into_par_iter())
-            .filter_map(|(_, descent, times)| Some((self.path(descent.finish()?, &self.problem, end)?, times)))
+            .filter_map(|(_, descent, times)| Some((self.path(descent.finish()?, &self.problem, self.duration, end)?, times)))
             .collect();
         let of_each = |(o, times): &(Optimized, usize)| std::iter::repeat_n(o.cost, *times);
         costs.extend(finished.iter().flat_map(of_each));
@@ -236,7 +238,8 @@ impl<'a> Direct<'a> {
     }
 
     /// A trajectory with shorter steps, as long as it is on its way: what is narrow is passed at
-    /// other costs, and controls switch at times between the steps.
+    /// other costs, and controls switch at times between the steps. Its path has shorter segments:
+    /// beside what is narrow trajectories part sooner than at the equilibrium.
     pub fn refined(&self, one: &Optimized, end: &End) -> Option<Optimized> {
         let (states, controls) = (&one.found.states, &one.found.controls);
         let (n, m) = (self.rates.states, self.rates.controls);
@@ -260,7 +263,7 @@ impl<'a> Direct<'a> {
         }
         x.extend_from_slice(&states[on_its_way]);
         let found = Descent::from(&self.rates, &problem, x, u)?.mend()?;
-        self.path(found, &problem, end)
+        self.path(found, &problem, SHORT * self.duration, end)
     }
 
     /// The first node that is near the equilibrium; the last one where none is.
@@ -272,15 +275,22 @@ impl<'a> Direct<'a> {
         states.iter().position(is_near).unwrap_or(states.len() - 1)
     }
 
-    /// A path for the boundary value problem, if what was found comes home.
-    fn path(&self, found: Found, problem: &Transcription, end: &End) -> Option<Optimized> {
+    /// A path for the boundary value problem, in segments of at most this duration, if what was
+    /// found comes home.
+    fn path(
+        &self,
+        found: Found,
+        problem: &Transcription,
+        duration: f64,
+        end: &End,
+    ) -> Option<Optimized> {
         let local = self.plan.local.as_ref()?;
         let last = found.states.len() - 1;
         if local.quadratic(&found.states[last]) > LEFT * found.cost.abs() {
             return None;
         }
         let node = |k: usize| [found.states[k].as_slice(), &found.adjoints[k]].concat();
-        let every = ((self.duration / problem.step).floor() as usize).max(1);
+        let every = ((duration / problem.step).floor() as usize).max(1);
         let mut path = Path::new(&node(0));
         let mut at = 0;
         // What is near the equilibrium follows the local solution.
