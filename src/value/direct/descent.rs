@@ -385,7 +385,11 @@ impl<'a> Descent<'a> {
         let slopes = self
             .rates
             .slopes(&self.steps, self.problem.step, self.p.get(n..));
-        let shares = if self.p.is_empty() { &[0.0] } else { &SHARES[..] };
+        let shares = if self.p.is_empty() {
+            &[0.0]
+        } else {
+            &SHARES[..]
+        };
         let change = shares
             .iter()
             .find_map(|share| self.change_by(barrier, &slopes, *share))?;

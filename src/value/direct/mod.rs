@@ -166,7 +166,12 @@ impl<'a> Direct<'a> {
             }
         }
         let finished: Vec<(Optimized, usize)> = (ways.into_par_iter())
-            .filter_map(|(_, descent, times)| Some((self.path(descent.finish()?, &self.problem, self.duration, end)?, times)))
+            .filter_map(|(_, descent, times)| {
+                Some((
+                    self.path(descent.finish()?, &self.problem, self.duration, end)?,
+                    times,
+                ))
+            })
             .collect();
         let of_each = |(o, times): &(Optimized, usize)| std::iter::repeat_n(o.cost, *times);
         costs.extend(finished.iter().flat_map(of_each));

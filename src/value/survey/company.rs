@@ -54,8 +54,11 @@ impl Survey<'_> {
         for together in order.chunks(TOGETHER) {
             let is_done = quiet >= QUIET || is_plain && looked >= PLAIN;
             let now: Vec<usize> = (together.iter().copied())
-                .filter(|t| !is_done || self.is_open(*t))
+                .filter(|t| !is_done || self.is_wanting(*t))
                 .collect();
+            if now.is_empty() {
+                continue;
+            }
             let rounds = self.rounds(&solver.scheme.end, &direct, &now, looked as u64);
             solver.deadline.check()?;
             looked += now.len();
@@ -64,36 +67,35 @@ impl Survey<'_> {
             let mut found = Vec::new();
             for (&target, round) in now.iter().zip(rounds) {
                 self.starts[target] += (FIRST + FURTHER) as u32;
-                if std::env::var("SHOW").is_ok_and(|t| t == target.to_string()) {
-                    eprintln!("SHOW {} {:?} found {:?} costs {:?} known {:?}", target, self.targets.state(target), round.found.iter().map(|o| o.cost).collect::<Vec<_>>(), round.costs, self.at[target].iter().map(|e| self.extremals[*e].value()).collect::<Vec<_>>());
-                }
                 found.extend(self.unknown(target, round.found));
             }
             self.solve_from(solver, &direct, found)?;
             let is_cheaper =
                 |(t, before): (&usize, f64)| self.least_value(*t) < times(1.0 - CHEAPER, before);
             let cheaper = now.iter().zip(before).filter(|x| is_cheaper(*x)).count();
-            eprintln!("looked {looked} plain {is_plain} quiet {quiet} cheaper {cheaper}");
             if cheaper == 0 {
                 quiet += now.len();
                 continue;
             }
             (quiet, is_plain) = (0, false);
             self.spread(solver, wanted, Effort::Neighbours, progress)?;
-            progress("from optimized trajectories", self.solved(), self.targets.len());
+            progress(
+                "from optimized trajectories",
+                self.solved(),
+                self.targets.len(),
+            );
         }
         self.direct = Some(direct);
         Ok(())
     }
 
+    /// Whether a state has no solution, and is of interest however much it costs.
+    fn is_wanting(&self, target: usize) -> bool {
+        self.is_open(target) && self.targets.limits[target] == f64::INFINITY
+    }
+
     /// What guesses lead to from some states.
-    fn rounds(
-        &self,
-        end: &End,
-        direct: &Direct<'_>,
-        targets: &[usize],
-        turn: u64,
-    ) -> Vec<Round> {
+    fn rounds(&self, end: &End, direct: &Direct<'_>, targets: &[usize], turn: u64) -> Vec<Round> {
         let asked: Vec<_> = (targets.iter().enumerate())
             .map(|(k, target)| {
                 let turn = (turn + k as u64) % TURNS;

@@ -246,8 +246,8 @@ impl<'a> Survey<'a> {
             GridGuesses::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
-        self.last_resort(solver, archive, &index, wanted, progress)?;
         self.search_in_company(solver, wanted, progress)?;
+        self.last_resort(solver, archive, &index, wanted, progress)?;
         // Nothing behind a fold counts in a game.
         if wanted.sheets && !self.plan.game {
             self.around_folds(solver, wanted, progress)?;

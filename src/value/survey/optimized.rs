@@ -13,13 +13,15 @@ const ROUNDS: u64 = 12;
 const LEAST_ROUNDS: u64 = 2;
 /// Costs nearer to each other than this share are one.
 const SAME: f64 = 0.01;
+/// Rounds at least.
+const LEAST: u64 = 2;
 /// Times that the cheapest trajectory is to be found; or, of all that was found, one in so many.
 const TIMES: usize = 3;
 const ONE_OF: usize = 8;
-/// Guesses and times where from these many states over the region, most of which lead somewhere,
+/// Guesses, times and rounds where from these many states over the region, most of which lead somewhere,
 /// all guesses lead to costs that are alike.
 const PROBES: usize = 16;
-const PLAIN: (u64, usize) = (3, 1);
+const PLAIN: (u64, usize, u64) = (3, 1, 1);
 /// Another trajectory that costs at most this many times the cheapest leaves it in doubt.
 const RIVAL: f64 = 3.0;
 /// Trajectories that cost at most this many times the least are solved from, and so many of them.
@@ -46,10 +48,10 @@ impl Survey<'_> {
         targets: &[usize],
         progress: Progress<'_>,
     ) -> Result<Vec<usize>, BackendError> {
-        let (count, times) = if self.is_plain(solver, direct) {
+        let (count, times, least) = if self.is_plain(solver, direct) {
             PLAIN
         } else {
-            (GUESSES, TIMES)
+            (GUESSES, TIMES, LEAST)
         };
         // Costs of all that was found for each target.
         let mut costs: Vec<Vec<f64>> = vec![Vec::new(); self.targets.len()];
@@ -73,7 +75,8 @@ impl Survey<'_> {
             );
             left.retain(|t| {
                 let leads_on = costs[*t].len() as u64 > round || round < LEAST_ROUNDS;
-                leads_on && !self.is_confirmed(*t, &costs[*t], times)
+                let is_confirmed = round + 1 >= least && self.is_confirmed(*t, &costs[*t], times);
+                leads_on && !is_confirmed
             });
             if left.is_empty() {
                 break;
@@ -155,7 +158,6 @@ impl Survey<'_> {
         self.solve_along_all(solver, &found)?;
         found.retain(|one| is_lost(self, one));
         for (target, one) in found {
-            eprintln!("LOST {target} {:?} {} {}", self.targets.state(target), one.cost, self.least_value(target));
             self.lost.push((target, one.path));
         }
         Ok(())
