@@ -199,7 +199,7 @@ impl<'a> Descent<'a> {
             let [lo, hi] = problem.bounds[i];
             let range = (hi - problem.middle[i]).min(problem.middle[i] - lo);
             if range.is_finite() {
-                first[0].hessian[(n + i) * (n + m + 1)] * range * range
+                first.hessian(0)[(n + i) * (n + m + 1)] * range * range
             } else {
                 0.0
             }
@@ -400,7 +400,7 @@ impl<'a> Descent<'a> {
     }
 
     /// The step with a share of the dynamics' curvature; none where the problem is not convex.
-    fn change_by(&self, barrier: f64, slopes: &[Slopes], share: f64) -> Option<Change> {
+    fn change_by(&self, barrier: f64, slopes: &Slopes, share: f64) -> Option<Change> {
         let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
         let mut recursion = Recursion::new(n, m, count);
         let end = &self.problem.end;
@@ -414,7 +414,7 @@ impl<'a> Descent<'a> {
             &mut recursion.gradients[count * n..],
         );
         for k in (0..count).rev() {
-            self.expand(k, &slopes[k], (barrier, share), &mut recursion);
+            self.expand(k, slopes, (barrier, share), &mut recursion);
             recursion.eliminate(k)?;
         }
         let change = self.forward(slopes, recursion);
@@ -443,18 +443,19 @@ impl<'a> Descent<'a> {
             ..
         } = recursion;
         let hessian = &hessians[(k + 1) * n * n..][..n * n];
-        first.clone_from(&at.gradient);
-        second.copy_from_slice(&at.hessian);
-        for (second, curvature) in second.iter_mut().zip(&at.curvature) {
+        first.copy_from_slice(at.gradient(k));
+        second.copy_from_slice(at.hessian(k));
+        for (second, curvature) in second.iter_mut().zip(at.curvature(k)) {
             *second += share * curvature;
         }
-        times(hessian, &at.jacobian, n, n, width, product);
+        let jacobian = at.jacobian(k);
+        times(hessian, jacobian, n, n, width, product);
         for i in 0..n {
             let ahead = gradients[(k + 1) * n + i]
                 + (0..n)
                     .map(|j| hessian[i * n + j] * self.gap(k * n + j))
                     .sum::<f64>();
-            let row = &at.jacobian[i * width..][..width];
+            let row = &jacobian[i * width..][..width];
             for a in 0..width {
                 first[a] += row[a] * ahead;
                 for b in 0..width {
@@ -469,7 +470,7 @@ impl<'a> Descent<'a> {
     }
 
     /// The changes from the first node on, by the laws of the steps.
-    fn forward(&self, slopes: &[Slopes], recursion: Recursion) -> Change {
+    fn forward(&self, slopes: &Slopes, recursion: Recursion) -> Change {
         let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
         let width = n + m;
         let Recursion {
@@ -490,7 +491,7 @@ impl<'a> Descent<'a> {
                 change.u[k * m + i] += (0..n).map(|j| gain[j] * change.x[k * n + j]).sum::<f64>();
             }
             for i in 0..n {
-                let row = &slopes[k].jacobian[i * width..][..width];
+                let row = &slopes.jacobian(k)[i * width..][..width];
                 let moved: f64 = (0..n).map(|j| row[j] * change.x[k * n + j]).sum();
                 let driven: f64 = (0..m).map(|j| row[n + j] * change.u[k * m + j]).sum();
                 change.x[(k + 1) * n + i] = moved + driven + self.gap(k * n + i);

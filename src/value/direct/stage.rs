@@ -32,16 +32,63 @@ pub(super) struct Steps {
     stages: Vec<Vec<f64>>,
 }
 
-/// Derivatives of one step by `(x, u)`, row by row.
+/// Derivatives of steps by `(x, u)`, `[step]`, row by row.
 pub(super) struct Slopes {
+    states: usize,
+    width: usize,
     /// `[n][n + m]`.
-    pub jacobian: Vec<f64>,
-    pub gradient: Vec<f64>,
+    jacobian: Vec<f64>,
+    gradient: Vec<f64>,
     /// Of Gauss-Newton: without the dynamics' curvature, and not negative. `[n + m][n + m]`.
-    pub hessian: Vec<f64>,
+    hessian: Vec<f64>,
     /// What the dynamics' curvature adds to that; empty where it is 0 and where no adjoints were
     /// given.
-    pub curvature: Vec<f64>,
+    curvature: Vec<f64>,
+}
+
+impl Slopes {
+    pub fn jacobian(&self, step: usize) -> &[f64] {
+        part(&self.jacobian, step, self.states * self.width)
+    }
+
+    pub fn gradient(&self, step: usize) -> &[f64] {
+        part(&self.gradient, step, self.width)
+    }
+
+    pub fn hessian(&self, step: usize) -> &[f64] {
+        part(&self.hessian, step, self.width * self.width)
+    }
+
+    /// Empty where it is 0.
+    pub fn curvature(&self, step: usize) -> &[f64] {
+        if self.curvature.is_empty() {
+            return &[];
+        }
+        part(&self.curvature, step, self.width * self.width)
+    }
+}
+
+fn part(all: &[f64], step: usize, size: usize) -> &[f64] {
+    &all[step * size..][..size]
+}
+
+/// Steps whose derivatives are computed side by side.
+const LANES: usize = 8;
+type Lane = [f64; LANES];
+
+/// What is computed of steps side by side.
+struct Block {
+    by_stage: Vec<Lane>,
+    slope: Vec<Lane>,
+    product: Vec<Lane>,
+    square: Vec<Lane>,
+    jacobian: Vec<Lane>,
+    gradient: Vec<Lane>,
+    hessian: Vec<Lane>,
+    curvature: Vec<Lane>,
+    /// The derivatives of one stage, and its weighted second ones.
+    here: Vec<Lane>,
+    curved: Vec<Lane>,
 }
 
 impl Rates {
@@ -129,7 +176,7 @@ impl Rates {
 
     /// Derivatives of steps, through all stages; with the dynamics' curvature for adjoints after
     /// the steps, `[step][n]`.
-    pub fn slopes(&self, steps: &Steps, h: f64, adjoints: Option<&[f64]>) -> Vec<Slopes> {
+    pub fn slopes(&self, steps: &Steps, h: f64, adjoints: Option<&[f64]>) -> Slopes {
         let (n, width) = (self.states, self.states + self.controls);
         let outputs = (n + 1) * width + width * width;
         let all: Vec<Vec<f64>> = steps
@@ -137,68 +184,54 @@ impl Rates {
             .iter()
             .map(|at| self.derivatives.eval(at, width))
             .collect();
-        let mut by_stage = vec![0.0; width * width];
-        let mut slope = vec![0.0; n * width];
-        let mut product = vec![0.0; width * width];
-        let mut square = vec![0.0; width * width];
         let curvatures = (self.curvatures.as_ref().zip(adjoints))
             .map_or_else(Vec::new, |(second, p)| {
                 self.curvatures(second, steps, h, p, &all)
             });
-        let triangle = width * (width + 1) / 2;
-        (0..steps.cost.len())
-            .map(|k| {
-                let mut slopes = Slopes {
-                    jacobian: vec![0.0; n * width],
-                    gradient: vec![0.0; width],
-                    hessian: vec![0.0; width * width],
-                    curvature: vec![
-                        0.0;
-                        if curvatures.is_empty() {
-                            0
-                        } else {
-                            width * width
-                        }
-                    ],
-                };
-                slope.fill(0.0);
-                for i in 0..n {
-                    slopes.jacobian[i * width + i] = 1.0;
+        let (count, square) = (steps.cost.len(), width * width);
+        let is_curved = !curvatures.is_empty();
+        let mut slopes = Slopes {
+            states: n,
+            width,
+            jacobian: vec![0.0; count * n * width],
+            gradient: vec![0.0; count * width],
+            hessian: vec![0.0; count * square],
+            curvature: vec![0.0; if is_curved { count * square } else { 0 }],
+        };
+        let lanes = |size: usize| vec![[0.0; LANES]; size];
+        let mut block = Block {
+            by_stage: lanes(square),
+            slope: lanes(n * width),
+            product: lanes(square),
+            square: lanes(square),
+            jacobian: lanes(n * width),
+            gradient: lanes(width),
+            hessian: lanes(square),
+            curvature: lanes(square),
+            here: lanes(outputs),
+            curved: lanes(width * (width + 1) / 2),
+        };
+        for first in (0..count).step_by(LANES) {
+            let here = LANES.min(count - first);
+            block.clear();
+            for (stage, all) in all.iter().enumerate() {
+                gather(all, first, here, &mut block.here);
+                if is_curved {
+                    gather(&curvatures[stage], first, here, &mut block.curved);
                 }
-                for (stage, (node, weight)) in NODES.into_iter().zip(WEIGHTS).enumerate() {
-                    let here = &all[stage][k * outputs..][..outputs];
-                    let (first, rest) = here.split_at(n * width);
-                    let (gradient, second) = rest.split_at(width);
-                    // d(stage)/d(x, u)
-                    by_stage.fill(0.0);
-                    for i in 0..width {
-                        by_stage[i * width + i] = 1.0;
-                    }
-                    for (b, s) in by_stage.iter_mut().zip(&slope) {
-                        *b += node * h * s;
-                    }
-                    times(first, &by_stage, n, width, width, &mut slope);
-                    for (j, s) in slopes.jacobian.iter_mut().zip(&slope) {
-                        *j += weight * h * s;
-                    }
-                    times(second, &by_stage, width, width, width, &mut product);
-                    for a in 0..width {
-                        for i in 0..width {
-                            slopes.gradient[a] +=
-                                weight * h * by_stage[i * width + a] * gradient[i];
-                        }
-                    }
-                    add_product(&by_stage, &product, width, weight * h, &mut slopes.hessian);
-                    if let Some(of_stage) = curvatures.get(stage) {
-                        symmetric(&of_stage[k * triangle..][..triangle], width, &mut square);
-                        times(&square, &by_stage, width, width, width, &mut product);
-                        add_product(&by_stage, &product, width, 1.0, &mut slopes.curvature);
-                    }
-                }
-                not_negative(&mut slopes.hessian, width);
-                slopes
-            })
-            .collect()
+                block.add(stage, n, h, is_curved);
+            }
+            scatter(&block.jacobian, first, here, &mut slopes.jacobian);
+            scatter(&block.gradient, first, here, &mut slopes.gradient);
+            scatter(&block.hessian, first, here, &mut slopes.hessian);
+            if is_curved {
+                scatter(&block.curvature, first, here, &mut slopes.curvature);
+            }
+        }
+        for hessian in slopes.hessian.chunks_mut(square) {
+            not_negative(hessian, width);
+        }
+        slopes
     }
 
     /// Second derivatives of f at the stages, weighted by the stages' adjoints.
@@ -242,8 +275,94 @@ impl Rates {
     }
 }
 
+impl Block {
+    fn clear(&mut self) {
+        let Self {
+            slope,
+            jacobian,
+            gradient,
+            hessian,
+            curvature,
+            ..
+        } = self;
+        let states = jacobian.len() / gradient.len();
+        let width = gradient.len();
+        for lanes in [slope, &mut *jacobian, gradient, hessian, curvature] {
+            lanes.fill([0.0; LANES]);
+        }
+        for i in 0..states {
+            jacobian[i * width + i] = [1.0; LANES];
+        }
+    }
+
+    /// Adds what a stage contributes.
+    fn add(&mut self, stage: usize, n: usize, h: f64, is_curved: bool) {
+        let (node, weight) = (NODES[stage], WEIGHTS[stage]);
+        let width = self.gradient.len();
+        let (first, rest) = self.here.split_at(n * width);
+        let (gradient, second) = rest.split_at(width);
+        // d(stage)/d(x, u)
+        self.by_stage.fill([0.0; LANES]);
+        for i in 0..width {
+            self.by_stage[i * width + i] = [1.0; LANES];
+        }
+        for (b, s) in self.by_stage.iter_mut().zip(&self.slope) {
+            add_scaled(b, node * h, s);
+        }
+        lanes_times(first, &self.by_stage, n, width, width, &mut self.slope);
+        for (j, s) in self.jacobian.iter_mut().zip(&self.slope) {
+            add_scaled(j, weight * h, s);
+        }
+        lanes_times(
+            second,
+            &self.by_stage,
+            width,
+            width,
+            width,
+            &mut self.product,
+        );
+        for (row, of_state) in self.by_stage.chunks(width).zip(gradient) {
+            for (sum, b) in self.gradient.iter_mut().zip(row) {
+                for l in 0..LANES {
+                    sum[l] += weight * h * b[l] * of_state[l];
+                }
+            }
+        }
+        let (by_stage, product) = (&self.by_stage, &mut self.product);
+        add_product(by_stage, product, width, weight * h, &mut self.hessian);
+        if is_curved {
+            symmetric(&self.curved, width, &mut self.square);
+            lanes_times(&self.square, by_stage, width, width, width, product);
+            add_product(by_stage, product, width, 1.0, &mut self.curvature);
+        }
+    }
+}
+
+/// Numbers of steps, `[step][size]`, side by side, and back.
+fn gather(all: &[f64], first: usize, count: usize, lanes: &mut [Lane]) {
+    let size = lanes.len();
+    for l in 0..count {
+        let one = part(all, first + l, size);
+        lanes.iter_mut().zip(one).for_each(|(lane, v)| lane[l] = *v);
+    }
+}
+
+fn scatter(lanes: &[Lane], first: usize, count: usize, all: &mut [f64]) {
+    let size = lanes.len();
+    for l in 0..count {
+        let one = &mut all[(first + l) * size..][..size];
+        one.iter_mut().zip(lanes).for_each(|(v, lane)| *v = lane[l]);
+    }
+}
+
+fn add_scaled(sum: &mut Lane, factor: f64, by: &Lane) {
+    for l in 0..LANES {
+        sum[l] += factor * by[l];
+    }
+}
+
 /// A symmetric matrix from its upper triangle.
-fn symmetric(upper: &[f64], width: usize, square: &mut [f64]) {
+fn symmetric(upper: &[Lane], width: usize, square: &mut [Lane]) {
     let places = (0..width).flat_map(|a| (a..width).map(move |b| (a, b)));
     for ((a, b), v) in places.zip(upper) {
         square[a * width + b] = *v;
@@ -252,12 +371,30 @@ fn symmetric(upper: &[f64], width: usize, square: &mut [f64]) {
 }
 
 /// Adds `factor a' b` to `c`, for square matrices.
-fn add_product(a: &[f64], b: &[f64], width: usize, factor: f64, c: &mut [f64]) {
+fn add_product(a: &[Lane], b: &[Lane], width: usize, factor: f64, c: &mut [Lane]) {
     for (row_a, row_b) in a.chunks(width).zip(b.chunks(width)) {
         for (a, c) in row_a.iter().zip(c.chunks_mut(width)) {
-            c.iter_mut()
-                .zip(row_b)
-                .for_each(|(c, b)| *c += factor * a * b);
+            for (c, b) in c.iter_mut().zip(row_b) {
+                for l in 0..LANES {
+                    c[l] += factor * a[l] * b[l];
+                }
+            }
+        }
+    }
+}
+
+/// [`times`] side by side.
+fn lanes_times(a: &[Lane], b: &[Lane], rows: usize, inner: usize, columns: usize, c: &mut [Lane]) {
+    for i in 0..rows {
+        let row = &mut c[i * columns..(i + 1) * columns];
+        row.fill([0.0; LANES]);
+        for k in 0..inner {
+            let factor = &a[i * inner + k];
+            for (c, b) in row.iter_mut().zip(&b[k * columns..(k + 1) * columns]) {
+                for l in 0..LANES {
+                    c[l] += factor[l] * b[l];
+                }
+            }
         }
     }
 }
@@ -319,7 +456,8 @@ mod tests {
             steps.cost[0] + p.iter().zip(&steps.next).map(|(p, x)| p * x).sum::<f64>()
         };
         let steps = rates.steps(&z[..2], &z[2..], h).expect("finite");
-        let slopes = &rates.slopes(&steps, h, Some(&p))[0];
+        let slopes = rates.slopes(&steps, h, Some(&p));
+        let (jacobian, gradient) = (slopes.jacobian(0), slopes.gradient(0));
         let eps = 1e-4;
         let moved = |by: &[(usize, f64)]| {
             let mut z = z;
@@ -327,15 +465,14 @@ mod tests {
             lagrangian(&z)
         };
         for i in 0..3 {
-            let slope =
-                slopes.gradient[i] + p[0] * slopes.jacobian[i] + p[1] * slopes.jacobian[3 + i];
+            let slope = gradient[i] + p[0] * jacobian[i] + p[1] * jacobian[3 + i];
             let difference = (moved(&[(i, eps)]) - moved(&[(i, -eps)])) / (2.0 * eps);
             assert!(
                 (slope - difference).abs() < 1e-7,
                 "slope {i}: {slope} and {difference}"
             );
             for j in 0..3 {
-                let second = slopes.hessian[i * 3 + j] + slopes.curvature[i * 3 + j];
+                let second = slopes.hessian(0)[i * 3 + j] + slopes.curvature(0)[i * 3 + j];
                 let corner = |a: f64, b: f64| moved(&[(i, a * eps), (j, b * eps)]);
                 let difference = (corner(1.0, 1.0) - corner(1.0, -1.0) - corner(-1.0, 1.0)
                     + corner(-1.0, -1.0))

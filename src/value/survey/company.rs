@@ -12,7 +12,7 @@ use crate::value::extremal::is_elsewhere;
 use rayon::prelude::*;
 
 /// States that are looked at together.
-const TOGETHER: usize = 16;
+const TOGETHER: usize = 8;
 /// Guesses for a state: the first ones are the same for all, the others differ from one state to
 /// the next, since what is found at one is tried at its neighbours.
 const FIRST: u64 = 2;
