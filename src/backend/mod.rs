@@ -536,6 +536,11 @@ pub trait Kernel: Send {
         Ok(batch)
     }
 
+    /// The same kernel with memory of its own, for another thread; `None` of a device.
+    fn fork(&self) -> Option<Box<dyn Kernel>> {
+        None
+    }
+
     /// Trajectories a batch from which on larger ones are no faster.
     fn preferred_batch(&self) -> usize {
         usize::MAX

@@ -9,6 +9,7 @@ use crate::backend::{
 };
 use crate::model::{Method, Precision};
 use rayon::prelude::*;
+use std::ops::AddAssign;
 
 /// Bytes of seeds or linear equations handed to a backend at once.
 const BATCH_BYTES: usize = 32 << 20;
@@ -28,6 +29,17 @@ pub struct Work {
     pub seconds_integrating: f64,
     pub seconds_eliminating: f64,
     pub rounds: u64,
+}
+
+impl AddAssign for Work {
+    fn add_assign(&mut self, other: Self) {
+        self.varied += other.varied;
+        self.plain += other.plain;
+        self.steps += other.steps;
+        self.seconds_integrating += other.seconds_integrating;
+        self.seconds_eliminating += other.seconds_eliminating;
+        self.rounds += other.rounds;
+    }
 }
 
 /// Ends `[segment][2n]` and costs of a path's segments.
@@ -50,6 +62,8 @@ pub struct Solver {
     draft: Option<Box<Solver>>,
     /// The last batch, whose memory the next one uses again.
     last: Trajectories,
+    /// Solvers like this one, for parts of what it is to solve.
+    forks: Vec<Solver>,
 }
 
 impl Solver {
@@ -77,7 +91,52 @@ impl Solver {
             deadline: Deadline::default(),
             draft: None,
             last: Trajectories::default(),
+            forks: Vec::new(),
         })
+    }
+
+    /// A solver that does what this one does, on one more thread; `None` where it is a device's, or
+    /// a draft comes first.
+    fn fork(&self) -> Option<Self> {
+        if self.draft.is_some() || self.eliminator.is_some() {
+            return None;
+        }
+        Some(Self {
+            scheme: self.scheme.clone(),
+            plain: self.plain.fork()?,
+            varied: self.varied.fork()?,
+            plain_runs: self.plain_runs.clone(),
+            varied_runs: self.varied_runs.clone(),
+            eliminator: None,
+            work: Work::default(),
+            deadline: self.deadline,
+            draft: None,
+            last: Trajectories::default(),
+            forks: Vec::new(),
+        })
+    }
+
+    /// Solves each part with a solver of its own, on all threads; `None` where there is this one
+    /// only.
+    pub fn apart<P: Send>(
+        &mut self,
+        parts: impl IndexedParallelIterator<Item = P>,
+        solve: impl Fn(&mut Solver, P) -> Result<(), BackendError> + Sync,
+    ) -> Option<Result<(), BackendError>> {
+        let deadline = self.deadline;
+        let mut forks = std::mem::take(&mut self.forks);
+        while forks.len() < parts.len() {
+            forks.push(self.fork()?);
+        }
+        let done = (parts.zip(&mut forks)).try_for_each(|(part, fork)| {
+            fork.deadline = deadline;
+            solve(fork, part)
+        });
+        for fork in &mut forks {
+            self.work += std::mem::take(&mut fork.work);
+        }
+        self.forks = forks;
+        Some(done)
     }
 
     /// This solver after a draft by another one.

@@ -12,6 +12,9 @@ const LENGTHS: i32 = 3;
 const RATIO: f64 = 0.35;
 /// Ways that are followed together.
 const COHORT: usize = 4096;
+/// Parts of them a thread, and segments of a part at least.
+const PARTS: usize = 4;
+const SEGMENTS: usize = 64;
 
 /// One way from a path to a target. The path need not be a solution: it is tried as a guess for the
 /// target first.
@@ -193,7 +196,11 @@ pub fn follow(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendE
 
 fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
     let done = if solver.is_alone() {
-        each_by_itself(solver, ways)
+        let part = part_of(ways);
+        match solver.apart(ways.par_chunks_mut(part), each_by_itself) {
+            Some(done) => done,
+            None => each_by_itself(solver, ways),
+        }
     } else {
         in_step(solver, ways)
     };
@@ -209,6 +216,15 @@ fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Bac
         way.job.factors = Factors::default();
     }
     Ok(())
+}
+
+/// Ways that one thread follows together: as many as fill its lanes, and of many so many that all
+/// threads are busy to the end.
+fn part_of(ways: &[Approach]) -> usize {
+    let segments: usize = ways.iter().map(|way| way.job.path.segments()).sum();
+    let full = (SEGMENTS * ways.len()).div_ceil(segments.max(1));
+    let share = ways.len().div_ceil(PARTS * rayon::current_num_threads());
+    share.max(full).max(1)
 }
 
 /// Each way tries its next problems as soon as its last ones are decided.

@@ -15,6 +15,7 @@ use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
 use crate::sweep::{Choices, Plan};
 use std::sync::Arc;
+use std::sync::mpsc::channel;
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
 pub(super) const MOST_RTOL: f64 = 1e-9;
@@ -369,6 +370,43 @@ fn coarse_grid(plan: &Plan, model: &Model) -> Option<GridValue> {
 /// # Errors
 /// Device failures only.
 pub fn solve(
+    plan: &Plan,
+    model: &Model,
+    solver: &mut Solver,
+    archive: &Archive,
+    request: &Request,
+    progress: Progress<'_>,
+) -> Result<Answers, BackendError> {
+    // A search has thousands of parallel steps of some microseconds: from outside the pool each is
+    // handed over to one of its threads, and waited for.
+    if rayon::current_thread_index().is_some() {
+        return solve_here(plan, model, solver, archive, request, progress);
+    }
+    let (tell, told) = channel::<(String, usize, usize)>();
+    let mut solved = None;
+    rayon::in_place_scope(|scope| {
+        scope.spawn(|_| {
+            let tell = tell;
+            let mut progress = |what: &str, done: usize, of: usize| {
+                let _ = tell.send((what.to_owned(), done, of));
+            };
+            solved = Some(solve_here(
+                plan,
+                model,
+                solver,
+                archive,
+                request,
+                &mut progress,
+            ));
+        });
+        for (what, done, of) in told {
+            progress(&what, done, of);
+        }
+    });
+    solved.expect("the scope ends after what it has begun")
+}
+
+fn solve_here(
     plan: &Plan,
     model: &Model,
     solver: &mut Solver,

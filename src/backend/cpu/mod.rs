@@ -21,8 +21,8 @@ use crate::model::Precision;
 use block::{Compiled, Output};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// Instruction sets the lanes are compiled for.
@@ -184,7 +184,7 @@ impl Backend for Cpu {
         Ok(Box::new(CpuKernel {
             spec: spec.clone(),
             backend: self.clone(),
-            compiled: FxHashMap::default(),
+            compiled: Arc::default(),
             seconds: None,
         }))
     }
@@ -194,17 +194,19 @@ impl Backend for Cpu {
     }
 }
 
+/// Code by lanes, degree of steps and variant, made when first needed.
+type Code = Mutex<FxHashMap<(usize, usize, Variant), Arc<Compiled>>>;
+
 struct CpuKernel {
     spec: Spec,
     backend: Cpu,
-    /// Code by lanes, degree of steps and variant, made when first needed.
-    compiled: FxHashMap<(usize, usize, Variant), Compiled>,
+    compiled: Arc<Code>,
     /// Of the latest batch, on the lanes.
     seconds: Option<f64>,
 }
 
 impl CpuKernel {
-    fn compiled(&mut self, width: usize, run: &Run) -> &Compiled {
+    fn compiled(&self, width: usize, run: &Run) -> Arc<Compiled> {
         let scheme = self.spec.method.scheme(run.rtol);
         let variant = run.variant();
         let (spec, compile) = (
@@ -212,13 +214,15 @@ impl CpuKernel {
             self.backend.compile.then_some(self.backend.simd),
         );
         let too_long = &self.backend.too_long;
-        (self.compiled.entry((width, scheme.degree(), variant))).or_insert_with(|| {
+        let mut all = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+        let code = (all.entry((width, scheme.degree(), variant))).or_insert_with(|| {
             let made = Compiled::new(spec, scheme, variant, compile, width);
             if compile.is_some() && !made.is_compiled() {
                 too_long.store(true, Ordering::Relaxed);
             }
-            made
-        })
+            Arc::new(made)
+        });
+        Arc::clone(code)
     }
 }
 
@@ -238,6 +242,15 @@ impl Kernel for CpuKernel {
 
     fn kernel_seconds(&self) -> Option<f64> {
         self.seconds
+    }
+
+    fn fork(&self) -> Option<Box<dyn Kernel>> {
+        Some(Box::new(CpuKernel {
+            spec: self.spec.clone(),
+            backend: self.backend.clone(),
+            compiled: Arc::clone(&self.compiled),
+            seconds: None,
+        }))
     }
 
     fn preferred_batch(&self) -> usize {
@@ -292,7 +305,7 @@ impl Kernel for CpuKernel {
                         samples,
                     };
                     let job = Job {
-                        kernel: compiled,
+                        kernel: &compiled,
                         run,
                         seeds,
                     };
@@ -308,7 +321,7 @@ impl Kernel for CpuKernel {
 
 /// A kernel's code with a run.
 struct CpuLegs<'k> {
-    compiled: &'k Compiled,
+    compiled: Arc<Compiled>,
     run: &'k Run,
     backend: Cpu,
 }
@@ -327,7 +340,7 @@ impl Legs for CpuLegs<'_> {
             samples: &mut [],
         };
         let job = Job {
-            kernel: self.compiled,
+            kernel: &self.compiled,
             run: self.run,
             seeds,
         };

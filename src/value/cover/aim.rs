@@ -5,6 +5,7 @@ use super::cell::{Corners, OfSeeds};
 use super::{Candidate, Cover, tangent};
 use crate::backend::BackendError;
 use crate::shooting::{End, Path};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Rounds in which a trajectory is corrected by how far it passed from the state.
@@ -36,6 +37,21 @@ pub struct Aimed {
     pub is_close: bool,
     /// V at the state, by V and p where it passes.
     pub value: f64,
+}
+
+impl Aimed {
+    /// The adjoint where it passes.
+    pub fn adjoint(&self) -> &[f64] {
+        let n = self.passes.len() / 2 - 1;
+        &self.passes[1 + n..=2 * n]
+    }
+
+    /// V at a state (a deviation) that it passes, by the mean of its adjoint and the one there.
+    pub fn value_by(&self, goal: &[f64], adjoint: &[f64]) -> f64 {
+        let way = |i: usize| goal[i] - self.passes[1 + i];
+        let change = |i: usize| 0.5 * (self.adjoint()[i] + adjoint[i]) * way(i);
+        self.passes[self.passes.len() - 1] + (0..goal.len()).map(change).sum::<f64>()
+    }
 }
 
 /// A trajectory on its way to pass through a state.
@@ -82,7 +98,7 @@ impl Cover<'_> {
     /// # Errors
     /// Device failures only.
     pub fn aim(&self, candidates: &[Candidate]) -> Result<Vec<Option<Aimed>>, BackendError> {
-        let mut shots: Vec<Shot<'_>> = candidates.iter().map(|c| self.shot(c)).collect();
+        let mut shots: Vec<Shot<'_>> = candidates.par_iter().map(|c| self.shot(c)).collect();
         for _ in 0..CORRECTIONS {
             // Those of one level are looked at at the same arc lengths.
             let mut of_level: BTreeMap<usize, Vec<&mut Shot<'_>>> = BTreeMap::new();
@@ -93,9 +109,7 @@ impl Cover<'_> {
             if of_level.is_empty() {
                 break;
             }
-            for (level, shots) in of_level {
-                self.shoot(level, shots)?;
-            }
+            (of_level.into_par_iter()).try_for_each(|(level, shots)| self.shoot(level, shots))?;
         }
         Ok(shots.into_iter().map(|shot| shot.best).collect())
     }
@@ -103,7 +117,8 @@ impl Cover<'_> {
     fn shot<'c>(&self, candidate: &'c Candidate) -> Shot<'c> {
         let widths = &self.fan.plan.widths;
         let of_cell = || candidate.cell.corners(&self.fan, self.stationary);
-        let corners = candidate.part.clone().unwrap_or_else(of_cell);
+        let of_part = candidate.part.as_deref().cloned();
+        let corners = of_part.unwrap_or_else(of_cell);
         let (seeds, n) = (candidate.cell.seeds.len(), widths.len());
         Shot {
             candidate,
@@ -131,22 +146,22 @@ impl Cover<'_> {
         } else {
             vec![self.fan.along_to(level)]
         };
-        let mut flown: Vec<(&mut Shot<'_>, Vec<f64>)> = Vec::with_capacity(shots.len());
-        for shot in shots {
-            match (self.fan).mean_seed(&shot.candidate.cell.seeds, &shot.weights) {
-                Some(seed) => flown.push((shot, seed)),
-                None => shot.done = true,
-            }
-        }
+        let flown: Vec<(&mut Shot<'_>, Vec<f64>)> = (shots.into_par_iter())
+            .filter_map(|shot| {
+                let seed = (self.fan).mean_seed(&shot.candidate.cell.seeds, &shot.weights);
+                shot.done = seed.is_none();
+                Some((shot, seed?))
+            })
+            .collect();
         let seeds: Vec<&[f64]> = flown.iter().map(|(_, seed)| seed.as_slice()).collect();
         let traces = self.fan.traces(&seeds, &levels)?;
-        for ((shot, seed), trace) in flown.into_iter().zip(traces) {
+        (flown.into_par_iter().zip(traces)).for_each(|((shot, seed), trace)| {
             if trace.is_empty() {
                 shot.done = true;
-                continue;
+            } else {
+                self.correct(shot, seed, from, &trace);
             }
-            self.correct(shot, seed, from, &trace);
-        }
+        });
         Ok(())
     }
 

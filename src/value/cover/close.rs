@@ -119,12 +119,16 @@ impl Cover<'_> {
             seeds.extend(&leaf.cell.seeds);
         }
         let mut traces: FxHashMap<(u32, usize), Vec<f64>> = FxHashMap::default();
-        for (level, mut seeds) in of_level {
-            seeds.sort_unstable();
-            seeds.dedup();
-            for (seed, trace) in seeds.iter().zip(self.trace_step(level, &seeds)?) {
-                traces.insert((*seed, level), trace);
-            }
+        let steps: Vec<_> = (of_level.into_par_iter())
+            .map(|(level, mut seeds)| {
+                seeds.sort_unstable();
+                seeds.dedup();
+                let traces = self.trace_step(level, &seeds)?;
+                Ok((level, seeds, traces))
+            })
+            .collect::<Result<_, BackendError>>()?;
+        for (level, seeds, of_level) in steps {
+            traces.extend(seeds.into_iter().map(|seed| (seed, level)).zip(of_level));
         }
         Ok(Closely { turn, traces })
     }

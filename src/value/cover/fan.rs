@@ -12,6 +12,7 @@ use crate::local::{LocalSolution, SeedChoice};
 use crate::model::{Method, Model, Precision, SeedValue};
 use crate::program::Program;
 use crate::sweep::{Plan, Surface, with_margin};
+use rayon::prelude::*;
 use rustc_hash::FxHashMap;
 use std::sync::{Mutex, PoisonError};
 
@@ -30,6 +31,8 @@ const TIMES: usize = 32;
 const LEAST_MARGIN: f64 = 3.0;
 /// The terminal states looked at reach this many widths beyond the region on each side.
 const TERMINAL_MARGIN: f64 = 2.0;
+/// Trajectories that a task prepares at least.
+const TASK: usize = 16;
 /// The seeds' error of V, relative to V of the seeds.
 const SEED_ERROR: f64 = 1e-6;
 
@@ -274,11 +277,11 @@ impl<'a> Fan<'a> {
         // Between levels of arc length.
         let cuts = self.plan.system.terminal.is_none() && n < MOST_IN_CELLS;
         for part in wanted.chunks(batch_limit(dim, self.run.levels.len())) {
-            let mut starts = Vec::with_capacity(part.len() * dim);
-            for v in part {
-                starts.extend(self.start(*v));
-                starts.push(0.0);
-            }
+            let mut starts = vec![0.0; part.len() * dim];
+            let this = &*self;
+            (starts.par_chunks_mut(dim).zip(part))
+                .with_min_len(TASK)
+                .for_each(|(to, v)| to[..dim - 1].copy_from_slice(&this.start(*v)));
             let kernel = self
                 .kernel
                 .get_mut()
@@ -286,34 +289,49 @@ impl<'a> Fan<'a> {
             let batch = &mut self.batch;
             kernel.integrate_into(&self.run, &starts, batch)?;
             self.integrated += part.len();
-            for (i, v) in part.iter().enumerate() {
-                let mut points = first_point(&starts[i * dim..][..self.stride - 1]);
-                let mut complete = batch.status[i] == Status::Reached;
-                for k in 0..batch.levels {
-                    let sample = batch.sample(i, k);
-                    if sample[0].is_nan() {
-                        complete = false;
-                        break;
-                    }
-                    points.extend(sample[..self.stride].iter().map(|x| *x as f32));
-                }
-                points.shrink_to_fit();
-                let end = &batch.end[i * dim..][..self.stride - 1];
-                let end: Vec<f32> = std::iter::once(batch.end_time[i])
-                    .chain(end.iter().copied())
-                    .map(|x| x as f32)
-                    .collect();
-                let usable = end.iter().all(|x| x.is_finite());
-                let last = points[points.len() - self.stride..].to_vec();
-                self.trajectories[*v as usize] = Some(Trajectory {
-                    end: (!complete).then_some(if usable { end } else { last }),
-                    cut: usable && cuts && (n == 1 || batch.status[i] == Status::Guard),
-                    points,
-                    ceiling,
-                });
+            let this = &*self;
+            let trajectories: Vec<Trajectory> = (starts.par_chunks(dim).enumerate())
+                .with_min_len(TASK)
+                .map(|(i, start)| this.trajectory(i, start, cuts))
+                .collect();
+            for (v, trajectory) in part.iter().zip(trajectories) {
+                self.trajectories[*v as usize] = Some(trajectory);
             }
         }
         Ok(())
+    }
+
+    /// What is kept of a trajectory of the last batch, which began there; `cuts`: whether cells may
+    /// reach up to where it ends.
+    fn trajectory(&self, i: usize, start: &[f64], cuts: bool) -> Trajectory {
+        let (batch, n) = (&self.batch, self.plan.system.states);
+        let mut points = first_point(&start[..self.stride - 1]);
+        let mut complete = batch.status[i] == Status::Reached;
+        for k in 0..batch.levels {
+            let sample = batch.sample(i, k);
+            if sample[0].is_nan() {
+                complete = false;
+                break;
+            }
+            points.extend(sample[..self.stride].iter().map(|x| *x as f32));
+        }
+        points.shrink_to_fit();
+        let end = &batch.end[i * batch.dim..][..self.stride - 1];
+        let end: Vec<f32> = std::iter::once(batch.end_time[i])
+            .chain(end.iter().copied())
+            .map(|x| x as f32)
+            .collect();
+        let usable = end.iter().all(|x| x.is_finite());
+        let last = points[points.len() - self.stride..].to_vec();
+        Trajectory {
+            end: (!complete).then_some(if usable { end } else { last }),
+            cut: usable && cuts && (n == 1 || batch.status[i] == Status::Guard),
+            points,
+            ceiling: self
+                .run
+                .ceiling
+                .map_or(f64::INFINITY, |(_, ceiling)| ceiling),
+        }
     }
 
     /// Where a seed's trajectory starts: `(s, p, V)`.
@@ -351,13 +369,19 @@ impl<'a> Fan<'a> {
             ..self.run.clone()
         };
         let mut traces = Vec::with_capacity(seeds.len());
-        let mut kernel = self.kernel.lock().unwrap_or_else(PoisonError::into_inner);
+        // Other threads trace others at the same time.
+        let shared = || self.kernel.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut fork = shared().fork();
+        let mut integrate = |run: &Run, starts: &[f64]| match &mut fork {
+            Some(kernel) => kernel.integrate(run, starts),
+            None => shared().integrate(run, starts),
+        };
         for part in seeds.chunks(batch_limit(dim, levels.len())) {
             self.deadline.check()?;
             let starts: Vec<f64> = (part.iter())
                 .flat_map(|seed| seed.iter().copied().chain([0.0]))
                 .collect();
-            let batch = kernel.integrate(&run, &starts)?;
+            let batch = integrate(&run, &starts)?;
             traces.extend((0..part.len()).map(|i| {
                 (0..batch.levels)
                     .map(|level| &batch.sample(i, level)[..self.stride])

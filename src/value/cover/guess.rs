@@ -67,7 +67,7 @@ impl Cover<'_> {
             time: first[0],
             cell: leaf.cell.clone(),
             place,
-            part: part.map(|part| part.corners),
+            part: part.map(|part| Box::new(part.corners)),
         })
     }
 

@@ -97,7 +97,7 @@ pub struct Candidate {
     cell: Cell,
     place: Place,
     /// Of the part of the cell that the place is in, where that was looked at closely.
-    part: Option<Corners>,
+    part: Option<Box<Corners>>,
 }
 
 impl Candidate {
@@ -288,7 +288,7 @@ impl<'a> Cover<'a> {
                 copies.filter_map(move |copy| this.candidate(leaf, close.as_ref(), copy, sought))
             })
             .collect();
-        cells.candidates.sort_by(|a, b| {
+        cells.candidates.par_sort_by(|a, b| {
             (a.target, &a.turns)
                 .cmp(&(b.target, &b.turns))
                 .then(a.outside().total_cmp(&b.outside()))

@@ -7,6 +7,7 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::cover::{Aimed, Candidate, Cover, lower};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Guesses of one target that are put to the test.
@@ -15,6 +16,9 @@ const MOST_AIMED: usize = 6;
 /// more than this share; and certainly so.
 const CHEAPER: f64 = 1e-4;
 const CERTAINLY: f64 = 5e-3;
+
+/// Of trajectories beside each other adjoints differ by at most this share.
+const BESIDE: f64 = 0.05;
 
 /// What aimed trajectories told.
 pub(super) struct Aims {
@@ -49,9 +53,10 @@ impl Survey<'_> {
         let all: Vec<(Candidate, Aimed)> = (candidates.into_iter().zip(aimed))
             .filter_map(|(c, aimed)| Some((c, aimed?)))
             .collect();
-        let (mut cheaper, dearer): (Vec<_>, Vec<_>) =
-            (all.into_iter()).partition(|(c, aimed)| self.is_above(c, aimed.value, CHEAPER));
-        let tasks: Vec<Task> = (cheaper.iter())
+        let (mut cheaper, dearer): (Vec<_>, Vec<_>) = (all.into_iter()).partition(|(c, aimed)| {
+            self.is_above(c, aimed.value, CHEAPER) && !self.is_beside_known(c, aimed)
+        });
+        let tasks: Vec<Task> = (cheaper.par_iter())
             .map(|(c, aimed)| {
                 let path = cover.path_of(aimed, &solver.scheme.end)?;
                 Ok(Task {
@@ -72,6 +77,22 @@ impl Survey<'_> {
         Ok(Aims {
             lost,
             dearer: dearer.collect(),
+        })
+    }
+
+    /// Whether a trajectory passes beside a solution known at its target: they fit within what it is
+    /// off by.
+    fn is_beside_known(&self, candidate: &Candidate, aimed: &Aimed) -> bool {
+        let n = candidate.goal.len();
+        let largest = |of: &dyn Fn(usize) -> f64| {
+            let each = (0..n).map(|i| (of(i) / self.scales[n + i]).abs());
+            each.fold(0.0, f64::max)
+        };
+        self.known_at(candidate).any(|e| {
+            let (p, q) = (aimed.adjoint(), e.adjoint());
+            let off = aimed.value_by(&candidate.goal, q) - e.value();
+            off.abs() <= CHEAPER * e.value().abs()
+                && largest(&|i| p[i] - q[i]) <= BESIDE * largest(&|i| q[i])
         })
     }
 

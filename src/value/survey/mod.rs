@@ -45,6 +45,7 @@ use crate::dynamic_programming::GridValue;
 use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
+use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use spread::{Effort, Followed};
 use std::sync::Mutex;
@@ -435,7 +436,7 @@ impl<'a> Survey<'a> {
             .map(|e| (e.way, (e.from, e.target, e.winding)))
             .unzip();
         follow(solver, &mut ways)?;
-        let finished: Vec<_> = ways.into_iter().map(Approach::finish).collect();
+        let finished: Vec<_> = ways.into_par_iter().map(Approach::finish).collect();
         let paths = finished
             .iter()
             .filter_map(|(_, outcome)| outcome.as_ref().ok().map(|(job, _)| &job.path));
