@@ -82,18 +82,38 @@ impl Grid<'_> {
         if !self.fits() {
             return edges;
         }
-        for i in 0..self.x.len() - 1 {
-            for j in 0..self.y.len() - 1 {
+        let (cells, ny) = ([self.x.len() - 1, self.y.len() - 1], self.y.len());
+        // Cells that belong to the region as a whole, most of them: their common edges would only
+        // be taken away again.
+        let mut whole = vec![false; cells[0] * cells[1]];
+        let mut parts: Vec<(usize, usize)> = Vec::new();
+        for i in 0..cells[0] {
+            for j in 0..cells[1] {
                 if self.open(i, j) {
-                    for polygon in self.cell(i, j, level) {
-                        for k in 0..polygon.len() {
-                            add(
-                                &mut edges,
-                                polygon[k],
-                                polygon[(k + 1) % polygon.len()],
-                                self.y.len(),
-                            );
-                        }
+                    let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
+                    let inside = |&(i, j): &(usize, usize)| self.values[i * ny + j] >= level;
+                    whole[i * cells[1] + j] = corners.iter().all(inside);
+                    parts.push((i, j));
+                }
+            }
+        }
+        let is_whole = |i: Option<usize>, j: Option<usize>| {
+            let within = i.zip(j).filter(|(i, j)| *i < cells[0] && *j < cells[1]);
+            within.is_some_and(|(i, j)| whole[i * cells[1] + j])
+        };
+        for (i, j) in parts {
+            // Across the edges that begin at each corner in turn.
+            let beside = [
+                is_whole(Some(i), j.checked_sub(1)),
+                is_whole(Some(i + 1), Some(j)),
+                is_whole(Some(i), Some(j + 1)),
+                is_whole(i.checked_sub(1), Some(j)),
+            ];
+            let here = whole[i * cells[1] + j];
+            for polygon in self.cell(i, j, level) {
+                for k in 0..polygon.len() {
+                    if !(here && beside[k]) {
+                        add(&mut edges, polygon[k], polygon[(k + 1) % polygon.len()], ny);
                     }
                 }
             }

@@ -34,6 +34,7 @@ use costate::low_level::files::{
 use costate::low_level::model::Report;
 use costate::low_level::result::{Stored, StoredError};
 use raster::{Raster, RasterError};
+use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use svg::Svg;
 
@@ -84,8 +85,8 @@ pub enum ReportError {
     Picture { name: String, reason: String },
 }
 
-/// Something that can be drawn at any size.
-pub trait Drawing {
+/// Something that can be drawn at any size, on any thread.
+pub trait Drawing: Send + Sync {
     /// Height that suits a width.
     fn height(&self, width: f64) -> f64;
 
@@ -171,12 +172,14 @@ pub fn write(stored: &Stored, options: &Options) -> Result<Written, ReportError>
     // Drawing takes long: a command that is killed meanwhile leaves the report that was there, and
     // else nothing.
     let width = f64::from(options.width.unwrap_or(DEFAULT_WIDTH));
-    let drawn: Vec<String> = pictures.iter().map(|picture| picture.svg(width)).collect();
+    let (drawn, pixels): (Vec<String>, Vec<_>) = (pictures.par_iter())
+        .map(|picture| rayon::join(|| picture.svg(width), || picture.png(width)))
+        .unzip();
     let mut files: Vec<(String, Vec<u8>)> = Vec::new();
-    for (picture, svg) in pictures.iter().zip(&drawn) {
+    for ((picture, svg), png) in pictures.iter().zip(&drawn).zip(pixels) {
         files.push((format!("{}.svg", picture.name), svg.clone().into_bytes()));
         let name = format!("{}.png", picture.name);
-        match picture.png(width) {
+        match png {
             Ok(bytes) => files.push((name, bytes)),
             Err(e) => missing.push((name, e.to_string())),
         }

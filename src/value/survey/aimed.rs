@@ -56,13 +56,16 @@ impl Survey<'_> {
         let (mut cheaper, dearer): (Vec<_>, Vec<_>) = (all.into_iter()).partition(|(c, aimed)| {
             self.is_above(c, aimed.value, CHEAPER) && !self.is_beside_known(c, aimed)
         });
-        let tasks: Vec<Task> = (cheaper.par_iter())
-            .map(|(c, aimed)| {
+        let windings: Vec<usize> = (cheaper.iter())
+            .map(|(c, _)| self.winding(&c.turns))
+            .collect();
+        let tasks: Vec<Task> = (cheaper.par_iter().zip(windings))
+            .map(|((c, aimed), winding)| {
                 let path = cover.path_of(aimed, &solver.scheme.end)?;
                 Ok(Task {
                     from: None,
                     target: c.target,
-                    winding: self.winding(&c.turns),
+                    winding,
                     way: Approach::new(path, c.goal.clone(), FROM_CELL),
                 })
             })
