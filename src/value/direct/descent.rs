@@ -3,7 +3,7 @@
 
 use super::stage::{Rates, Slopes, Steps, times};
 use crate::backend::Deadline;
-use nalgebra::DMatrix;
+use crate::numeric::dense::{cholesky, solve_by_cholesky};
 
 /// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last
 /// one stands for all.
@@ -105,8 +105,10 @@ struct Recursion {
     /// Gradient and Hessian of the cost to go from a node, by its state and control.
     first: Vec<f64>,
     second: Vec<f64>,
-    /// Room for the next node's Hessian times the dynamics' Jacobian.
+    /// Room for the next node's Hessian times the dynamics' Jacobian, and for a step's law.
     product: Vec<f64>,
+    by_control: Vec<f64>,
+    law: Vec<f64>,
 }
 
 impl Recursion {
@@ -122,6 +124,8 @@ impl Recursion {
             first: vec![0.0; width],
             second: vec![0.0; width * width],
             product: vec![0.0; n * width],
+            by_control: vec![0.0; m * m],
+            law: vec![0.0; m * (n + 1)],
         }
     }
 
@@ -138,30 +142,35 @@ impl Recursion {
             ref mut gradients,
             ref mut constants,
             ref mut gains,
+            ref mut by_control,
+            ref mut law,
             ..
         } = *self;
         let width = n + m;
         // The law: m equations in n + 1 right-hand sides.
-        let by_control = DMatrix::from_fn(m, m, |i, j| second[(n + i) * width + n + j]);
-        let right = DMatrix::from_fn(m, n + 1, |i, j| {
-            if j < n {
-                second[(n + i) * width + j]
-            } else {
-                first[n + i]
-            }
-        });
-        let law = by_control.cholesky()?.solve(&right);
         for i in 0..m {
-            constants[k * m + i] = -law[(i, n)];
-            (0..n).for_each(|j| gains[(k * m + i) * n + j] = -law[(i, j)]);
+            let row = &second[(n + i) * width..][..width];
+            by_control[i * m..][..m].copy_from_slice(&row[n..]);
+            law[i * (n + 1)..][..n].copy_from_slice(&row[..n]);
+            law[i * (n + 1) + n] = first[n + i];
+        }
+        cholesky(m, by_control)?;
+        solve_by_cholesky(m, by_control, n + 1, law);
+        for i in 0..m {
+            let law = &law[i * (n + 1)..][..=n];
+            constants[k * m + i] = -law[n];
+            (0..n).for_each(|j| gains[(k * m + i) * n + j] = -law[j]);
         }
         for a in 0..n {
-            let mixed = |i: usize| second[a * width + n + i];
-            gradients[k * n + a] = first[a] - (0..m).map(|i| mixed(i) * law[(i, n)]).sum::<f64>();
-            for b in 0..n {
-                let less: f64 = (0..m).map(|i| mixed(i) * law[(i, b)]).sum();
-                hessians[(k * n + a) * n + b] = second[a * width + b] - less;
+            let row = &mut hessians[(k * n + a) * n..][..n];
+            row.copy_from_slice(&second[a * width..][..n]);
+            let mut gradient = first[a];
+            for i in 0..m {
+                let (mixed, law) = (second[a * width + n + i], &law[i * (n + 1)..][..=n]);
+                gradient -= mixed * law[n];
+                (row.iter_mut().zip(law)).for_each(|(h, law)| *h -= mixed * law);
             }
+            gradients[k * n + a] = gradient;
         }
         // Rounding must not make it unsymmetric.
         for a in 0..n {
@@ -243,7 +252,7 @@ impl<'a> Descent<'a> {
         self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, DONE)?;
         let rows = |v: &[f64]| v.chunks(self.rates.states).map(<[f64]>::to_vec).collect();
         (self.largest_gap() < CLOSED).then(|| Found {
-            cost: self.cost(&self.x, &self.steps),
+            cost: self.cost_of(&self.x, &self.steps),
             states: rows(&self.x),
             adjoints: rows(&self.p),
             controls: self.u,
@@ -269,7 +278,7 @@ impl<'a> Descent<'a> {
             if size.is_none_or(|size| size <= small) {
                 break;
             }
-            costs.push(self.cost(&self.x, &self.steps));
+            costs.push(self.cost_of(&self.x, &self.steps));
             let settled = (step.checked_sub(SETTLING)).is_some_and(|before| {
                 (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs()
             });
@@ -281,8 +290,8 @@ impl<'a> Descent<'a> {
     }
 
     /// Cost as it is now.
-    pub fn costs(&self) -> f64 {
-        self.cost(&self.x, &self.steps)
+    pub fn cost(&self) -> f64 {
+        self.cost_of(&self.x, &self.steps)
     }
 
     /// Largest distance of the states at a time from those of another, in widths.
@@ -307,7 +316,7 @@ impl<'a> Descent<'a> {
         self.steps.next[k] - self.x[self.rates.states + k]
     }
 
-    fn cost(&self, x: &[f64], steps: &Steps) -> f64 {
+    fn cost_of(&self, x: &[f64], steps: &Steps) -> f64 {
         let n = self.rates.states;
         let end = &x[self.problem.count * n..];
         let mut slope = vec![0.0; n];
@@ -365,7 +374,7 @@ impl<'a> Descent<'a> {
 
     fn merit(&self, x: &[f64], u: &[f64], steps: &Steps, barrier: f64) -> f64 {
         let (n, m) = (self.rates.states, self.rates.controls);
-        let mut merit = self.cost(x, steps);
+        let mut merit = self.cost_of(x, steps);
         for u in u.chunks(m) {
             merit -= self
                 .rooms(u, barrier)

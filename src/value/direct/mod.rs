@@ -15,6 +15,7 @@ use crate::numeric::random::uniform;
 use crate::shooting::{End, Path};
 use crate::sweep::Plan;
 use crate::value::flight::homeward;
+use crate::value::survey::times;
 use descent::{Descent, Found, Transcription};
 use rayon::prelude::*;
 use stage::Rates;
@@ -33,8 +34,8 @@ const VIA: f64 = 1.6;
 const LEFT: f64 = 0.05;
 /// Share of the cost and of widths within which two guesses are on their way to one trajectory.
 const ALIKE: f64 = 0.01;
-/// Share of the least cost within which others are about the same.
-const SAME_COST: f64 = 0.03;
+/// Costs of at most this many times the least are about the same.
+const ALIKE_COSTS: f64 = 1.03;
 /// Parts into which steps are divided once more.
 const LEAST_PARTS: usize = 2;
 const MOST_PARTS: usize = 8;
@@ -74,7 +75,7 @@ impl Round {
     /// Whether all guesses lead to about the same cost.
     pub fn is_plain(&self) -> bool {
         let least = self.costs.iter().copied().fold(f64::INFINITY, f64::min);
-        (self.costs.iter()).all(|cost| *cost <= least + SAME_COST * least.abs())
+        (self.costs.iter()).all(|cost| *cost <= times(ALIKE_COSTS, least))
     }
 }
 
@@ -141,14 +142,14 @@ impl<'a> Direct<'a> {
                 let guess = self.guess(from, k);
                 let mut descent = Descent::new(&self.rates, &self.problem, &guess)?;
                 descent.begin()?;
-                Some((descent.costs(), descent))
+                Some((descent.cost(), descent))
             })
             .collect();
         begun.sort_by(|a, b| a.0.total_cmp(&b.0));
         let Some(least) = begun.first().map(|(cost, _)| *cost) else {
             return Round::default();
         };
-        let worth = above(least).min(above(most));
+        let worth = times(DEAR, least.min(most));
         // Those that are on their way to the same trajectory, by the first of them.
         let mut ways: Vec<(f64, Descent<'_>, usize)> = Vec::new();
         let mut costs = Vec::new();
@@ -312,11 +313,6 @@ impl<'a> Direct<'a> {
             found,
         })
     }
-}
-
-/// Cost up to which trajectories are followed to their ends where another one costs so much.
-fn above(cost: f64) -> f64 {
-    cost + (DEAR - 1.0) * cost.abs()
 }
 
 /// The state at a time on straight ways between timed states; the last one after them.

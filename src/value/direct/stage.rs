@@ -1,9 +1,10 @@
 //! A step of the transcribed problem: state and cost after it, with derivatives by state and
 //! control.
 
-use crate::backend::cpu::Evaluator;
+use crate::backend::cpu::{Evaluator, Simd};
 use crate::expr::Kind;
 use crate::model::Model;
+use crate::numeric::dense::cholesky;
 use crate::program::Program;
 use nalgebra::DMatrix;
 use rustc_hash::FxHashMap;
@@ -21,6 +22,7 @@ pub(super) struct Rates {
     curvatures: Option<Evaluator>,
     pub states: usize,
     pub controls: usize,
+    simd: Simd,
 }
 
 /// Steps from states under constant controls, all at once: of each the state and the cost after it.
@@ -142,6 +144,7 @@ impl Rates {
                 .then(|| lower(&[inputs.as_slice(), &weights].concat(), &curvatures)),
             states: n,
             controls: model.controls.len(),
+            simd: Simd::detect(),
         }
     }
 
@@ -200,7 +203,7 @@ impl Rates {
         };
         let lanes = |size: usize| vec![[0.0; LANES]; size];
         let mut block = Block {
-            by_stage: lanes(square),
+            by_stage: lanes(n * width),
             slope: lanes(n * width),
             product: lanes(square),
             square: lanes(square),
@@ -219,8 +222,9 @@ impl Rates {
                 if is_curved {
                     gather(&curvatures[stage], first, here, &mut block.curved);
                 }
-                block.add(stage, n, h, is_curved);
+                block.add_by(self.simd, stage, n, h, is_curved);
             }
+            block.mirror();
             scatter(&block.jacobian, first, here, &mut slopes.jacobian);
             scatter(&block.gradient, first, here, &mut slopes.gradient);
             scatter(&block.hessian, first, here, &mut slopes.hessian);
@@ -228,8 +232,9 @@ impl Rates {
                 scatter(&block.curvature, first, here, &mut slopes.curvature);
             }
         }
+        let mut room = Vec::with_capacity(square);
         for hessian in slopes.hessian.chunks_mut(square) {
-            not_negative(hessian, width);
+            not_negative(hessian, width, &mut room);
         }
         slopes
     }
@@ -296,46 +301,83 @@ impl Block {
     }
 
     /// Adds what a stage contributes.
+    #[inline(always)]
     fn add(&mut self, stage: usize, n: usize, h: f64, is_curved: bool) {
         let (node, weight) = (NODES[stage], WEIGHTS[stage]);
         let width = self.gradient.len();
         let (first, rest) = self.here.split_at(n * width);
         let (gradient, second) = rest.split_at(width);
-        // d(stage)/d(x, u)
-        self.by_stage.fill([0.0; LANES]);
-        for i in 0..width {
-            self.by_stage[i * width + i] = [1.0; LANES];
+        if is_curved {
+            symmetric(&self.curved, width, &mut self.square);
         }
-        for (b, s) in self.by_stage.iter_mut().zip(&self.slope) {
-            add_scaled(b, node * h, s);
-        }
-        lanes_times(first, &self.by_stage, n, width, width, &mut self.slope);
-        for (j, s) in self.jacobian.iter_mut().zip(&self.slope) {
-            add_scaled(j, weight * h, s);
-        }
-        lanes_times(
-            second,
-            &self.by_stage,
-            width,
-            width,
-            width,
-            &mut self.product,
-        );
-        for (row, of_state) in self.by_stage.chunks(width).zip(gradient) {
-            for (sum, b) in self.gradient.iter_mut().zip(row) {
+        if node == 0.0 {
+            // The stage's state is that of the step.
+            self.slope.copy_from_slice(first);
+            add_all(&mut self.gradient, weight * h, gradient);
+            add_all(&mut self.hessian, weight * h, second);
+            if is_curved {
+                add_all(&mut self.curvature, 1.0, &self.square);
+            }
+        } else {
+            // d(stage)/d(x, u), of the states; the controls are those of the step.
+            for (k, (b, s)) in self.by_stage.iter_mut().zip(&self.slope).enumerate() {
+                let unit = f64::from(u8::from(k % width == k / width));
                 for l in 0..LANES {
-                    sum[l] += weight * h * b[l] * of_state[l];
+                    b[l] = unit + node * h * s[l];
+                }
+            }
+            let by_stage = &self.by_stage;
+            chained(first, by_stage, n, &mut self.slope);
+            chained(second, by_stage, n, &mut self.product);
+            for (row, of_state) in by_stage.chunks(width).zip(gradient) {
+                add_lanes(&mut self.gradient, weight * h, of_state, row);
+            }
+            add_all(&mut self.gradient[n..], weight * h, &gradient[n..]);
+            add_product(by_stage, &self.product, n, weight * h, &mut self.hessian);
+            if is_curved {
+                chained(&self.square, by_stage, n, &mut self.product);
+                add_product(by_stage, &self.product, n, 1.0, &mut self.curvature);
+            }
+        }
+        add_all(&mut self.jacobian, weight * h, &self.slope);
+    }
+
+    /// The same with the widest vectors there are.
+    fn add_by(&mut self, simd: Simd, stage: usize, n: usize, h: f64, is_curved: bool) {
+        match simd {
+            // SAFETY: the set was detected.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => unsafe { add_avx512(self, stage, n, h, is_curved) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => unsafe { add_avx2(self, stage, n, h, is_curved) },
+            _ => self.add(stage, n, h, is_curved),
+        }
+    }
+
+    /// Of the symmetric matrices only the upper triangles are added to.
+    fn mirror(&mut self) {
+        let width = self.gradient.len();
+        for matrix in [&mut self.hessian, &mut self.curvature] {
+            for a in 0..width {
+                for b in 0..a {
+                    matrix[a * width + b] = matrix[b * width + a];
                 }
             }
         }
-        let (by_stage, product) = (&self.by_stage, &mut self.product);
-        add_product(by_stage, product, width, weight * h, &mut self.hessian);
-        if is_curved {
-            symmetric(&self.curved, width, &mut self.square);
-            lanes_times(&self.square, by_stage, width, width, width, product);
-            add_product(by_stage, product, width, 1.0, &mut self.curvature);
-        }
     }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f")]
+fn add_avx512(block: &mut Block, stage: usize, n: usize, h: f64, is_curved: bool) {
+    block.add(stage, n, h, is_curved);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn add_avx2(block: &mut Block, stage: usize, n: usize, h: f64, is_curved: bool) {
+    block.add(stage, n, h, is_curved);
 }
 
 /// Numbers of steps, `[step][size]`, side by side, and back.
@@ -355,13 +397,32 @@ fn scatter(lanes: &[Lane], first: usize, count: usize, all: &mut [f64]) {
     }
 }
 
-fn add_scaled(sum: &mut Lane, factor: f64, by: &Lane) {
+/// `sum += factor by`.
+#[inline(always)]
+fn add_all(sum: &mut [Lane], factor: f64, by: &[Lane]) {
+    for (sum, by) in sum.iter_mut().zip(by) {
+        for l in 0..LANES {
+            sum[l] += factor * by[l];
+        }
+    }
+}
+
+/// `sum += factor a row`, each lane with its own `a`.
+#[inline(always)]
+fn add_lanes(sum: &mut [Lane], factor: f64, a: &Lane, row: &[Lane]) {
+    let mut scaled = [0.0; LANES];
     for l in 0..LANES {
-        sum[l] += factor * by[l];
+        scaled[l] = factor * a[l];
+    }
+    for (sum, b) in sum.iter_mut().zip(row) {
+        for l in 0..LANES {
+            sum[l] += scaled[l] * b[l];
+        }
     }
 }
 
 /// A symmetric matrix from its upper triangle.
+#[inline(always)]
 fn symmetric(upper: &[Lane], width: usize, square: &mut [Lane]) {
     let places = (0..width).flat_map(|a| (a..width).map(move |b| (a, b)));
     for ((a, b), v) in places.zip(upper) {
@@ -370,32 +431,32 @@ fn symmetric(upper: &[Lane], width: usize, square: &mut [Lane]) {
     }
 }
 
-/// Adds `factor a' b` to `c`, for square matrices.
-fn add_product(a: &[Lane], b: &[Lane], width: usize, factor: f64, c: &mut [Lane]) {
-    for (row_a, row_b) in a.chunks(width).zip(b.chunks(width)) {
-        for (a, c) in row_a.iter().zip(c.chunks_mut(width)) {
-            for (c, b) in c.iter_mut().zip(row_b) {
-                for l in 0..LANES {
-                    c[l] += factor * a[l] * b[l];
-                }
-            }
+/// `c = a [b; 0 1]`: derivatives by state and control become those by the step's; `b`, `[n][width]`,
+/// is of the states.
+#[inline(always)]
+fn chained(a: &[Lane], b: &[Lane], n: usize, c: &mut [Lane]) {
+    let width = b.len() / n;
+    for (a, c) in a.chunks(width).zip(c.chunks_mut(width)) {
+        c[..n].fill([0.0; LANES]);
+        c[n..].copy_from_slice(&a[n..]);
+        for (a, b) in a.iter().zip(b.chunks(width)) {
+            add_lanes(c, 1.0, a, b);
         }
     }
 }
 
-/// [`times`] side by side.
-fn lanes_times(a: &[Lane], b: &[Lane], rows: usize, inner: usize, columns: usize, c: &mut [Lane]) {
-    for i in 0..rows {
-        let row = &mut c[i * columns..(i + 1) * columns];
-        row.fill([0.0; LANES]);
-        for k in 0..inner {
-            let factor = &a[i * inner + k];
-            for (c, b) in row.iter_mut().zip(&b[k * columns..(k + 1) * columns]) {
-                for l in 0..LANES {
-                    c[l] += factor[l] * b[l];
-                }
-            }
+/// Adds `factor [b; 0 1]' a` to the upper triangle of `c`.
+#[inline(always)]
+fn add_product(b: &[Lane], a: &[Lane], n: usize, factor: f64, c: &mut [Lane]) {
+    let width = b.len() / n;
+    for (b, a) in b.chunks(width).zip(a.chunks(width)) {
+        for (i, (b, c)) in b.iter().zip(c.chunks_mut(width)).enumerate() {
+            add_lanes(&mut c[i..], factor, b, &a[i..]);
         }
+    }
+    for i in n..width {
+        let of_control = i * width..(i + 1) * width;
+        add_all(&mut c[of_control.clone()], factor, &a[of_control]);
     }
 }
 
@@ -420,13 +481,14 @@ pub(super) fn times(
     }
 }
 
-/// Replaces negative eigenvalues of a symmetric matrix by 0.
-fn not_negative(matrix: &mut [f64], width: usize) {
-    let square = DMatrix::from_row_slice(width, width, matrix);
-    if square.clone().cholesky().is_some() {
+/// Replaces negative eigenvalues of a symmetric matrix by 0; `room` is memory.
+fn not_negative(matrix: &mut [f64], width: usize, room: &mut Vec<f64>) {
+    room.clear();
+    room.extend_from_slice(matrix);
+    if cholesky(width, room).is_some() {
         return;
     }
-    let mut eigen = square.symmetric_eigen();
+    let mut eigen = DMatrix::from_row_slice(width, width, matrix).symmetric_eigen();
     eigen.eigenvalues.iter_mut().for_each(|v| *v = v.max(0.0));
     matrix.copy_from_slice(eigen.recompose().as_slice());
 }

@@ -206,10 +206,11 @@ impl Survey<'_> {
             })
             .collect();
         // What was optimized and not solved for comes first.
-        for (target, path) in &self.lost {
-            let Some(k) = targets.iter().position(|t| t == target) else {
+        for (target, (_, path)) in &self.lost {
+            let k = place[*target];
+            if k >= targets.len() {
                 continue;
-            };
+            }
             let lost = claims.len();
             claims[k].neighbours.insert(0, lost);
             claims.push(Claim {

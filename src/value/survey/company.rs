@@ -1,15 +1,14 @@
 //! Guesses for states of a grid from trajectories that are optimized directly, where nothing shows
 //! which extremals there are: as many states as there is need for.
 
-use super::optimized::OFF;
+use super::optimized::{Asked, OFF};
 use super::spread::Effort;
 use super::{Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
 use crate::numeric::random::uniform;
-use crate::shooting::{End, Solver};
-use crate::value::direct::{Direct, Optimized, Round};
+use crate::shooting::Solver;
+use crate::value::direct::{Optimized, Round};
 use crate::value::extremal::is_elsewhere;
-use rayon::prelude::*;
 
 /// States that are looked at together.
 const TOGETHER: usize = 8;
@@ -59,7 +58,8 @@ impl Survey<'_> {
             if now.is_empty() {
                 continue;
             }
-            let rounds = self.rounds(&solver.scheme.end, &direct, &now, looked as u64);
+            let asked = self.in_turn(&now, looked as u64);
+            let rounds = self.rounds(&solver.scheme.end, &direct, asked);
             solver.deadline.check()?;
             looked += now.len();
             is_plain &= rounds.iter().all(Round::is_plain);
@@ -94,19 +94,18 @@ impl Survey<'_> {
         self.is_open(target) && self.targets.limits[target] == f64::INFINITY
     }
 
-    /// What guesses lead to from some states.
-    fn rounds(&self, end: &End, direct: &Direct<'_>, targets: &[usize], turn: u64) -> Vec<Round> {
-        let asked: Vec<_> = (targets.iter().enumerate())
+    /// Guesses for targets, as the next ones in turn.
+    fn in_turn(&self, targets: &[usize], turn: u64) -> Vec<Asked> {
+        (targets.iter().enumerate())
             .map(|(k, target)| {
                 let turn = (turn + k as u64) % TURNS;
                 let further = (0..FURTHER).map(|g| FIRST + turn * FURTHER + g);
-                let guesses: Vec<u64> = (0..FIRST).chain(further).collect();
-                let most = self.least_value(*target).min(self.targets.limits[*target]);
-                (self.state(*target, 0), guesses, most)
+                Asked {
+                    target: *target,
+                    guesses: (0..FIRST).chain(further).collect(),
+                    most: self.least_value(*target).min(self.targets.limits[*target]),
+                }
             })
-            .collect();
-        (asked.par_iter())
-            .map(|(s, guesses, most)| direct.optimized(s, guesses, *most, end))
             .collect()
     }
 

@@ -48,6 +48,7 @@ use label::Sheets;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use spread::{Effort, Followed};
+use std::collections::BTreeMap;
 use std::sync::Mutex;
 
 /// Shortest steps, as shares of the way, where there is nothing near to start from.
@@ -130,9 +131,9 @@ pub struct Survey<'a> {
     flights: Vec<u32>,
     /// Cost of a flight along the answer itself, of listed states.
     flown: Vec<Option<f64>>,
-    /// Trajectories that were optimized directly and cost less than what is known at a target: no
-    /// solution was found from them.
-    lost: Vec<(usize, Path)>,
+    /// Of targets the cheapest trajectory that was optimized directly, costs less than what is known,
+    /// and led to no solution; its cost before its steps were shortened.
+    lost: BTreeMap<usize, (f64, Path)>,
     /// Ways from targets to neighbours that were tried at once.
     leapt: Followed,
     /// Trajectories from which ways to a target were tried.
@@ -202,7 +203,7 @@ impl<'a> Survey<'a> {
             bounds: vec![None; targets.len()],
             flights: vec![0; targets.len()],
             flown: vec![None; targets.len()],
-            lost: Vec::new(),
+            lost: BTreeMap::new(),
             leapt: Followed::default(),
             tried: FxHashSet::default(),
             stopped: false,

@@ -2,8 +2,8 @@
 
 use super::{Progress, Survey, times};
 use crate::backend::BackendError;
-use crate::shooting::Solver;
-use crate::value::direct::{Direct, Optimized};
+use crate::shooting::{End, Solver};
+use crate::value::direct::{Direct, Optimized, Round};
 use rayon::prelude::*;
 
 /// Guesses that are optimized in a round, and rounds at most.
@@ -18,8 +18,8 @@ const LEAST: u64 = 2;
 /// Times that the cheapest trajectory is to be found; or, of all that was found, one in so many.
 const TIMES: usize = 3;
 const ONE_OF: usize = 8;
-/// Guesses, times and rounds where from these many states over the region, most of which lead somewhere,
-/// all guesses lead to costs that are alike.
+/// Guesses, times and rounds where all guesses lead to costs that are alike: from these many states
+/// over the region, most of which lead somewhere.
 const PROBES: usize = 16;
 const PLAIN: (u64, usize, u64) = (3, 1, 1);
 /// Another trajectory that costs at most this many times the cheapest leaves it in doubt.
@@ -31,6 +31,17 @@ const TRIED: usize = 4;
 pub(super) const OFF: f64 = 2e-3;
 /// Shortest steps, as shares of the way.
 const FROM_OPTIMIZED: f64 = 1.0 / 16.0;
+
+/// Targets that are looked at together: each holds what was found for it.
+const TOGETHER: usize = 64;
+
+/// Guesses for a target.
+pub(super) struct Asked {
+    pub target: usize,
+    pub guesses: Vec<u64>,
+    /// Cost that what is looked for has about at most.
+    pub most: f64,
+}
 
 /// Whether costs are about equal.
 fn same(a: f64, b: f64) -> bool {
@@ -58,14 +69,21 @@ impl Survey<'_> {
         let mut left = targets.to_vec();
         for round in 0..ROUNDS {
             let mut found: Vec<(usize, Optimized)> = Vec::new();
-            for &target in &left {
-                let guesses: Vec<u64> = (round * count..(round + 1) * count).collect();
-                let s = self.state(target, 0);
-                let round = direct.optimized(&s, &guesses, f64::INFINITY, &solver.scheme.end);
+            for together in left.chunks(TOGETHER) {
+                let asked = (together.iter())
+                    .map(|t| Asked {
+                        target: *t,
+                        guesses: (round * count..(round + 1) * count).collect(),
+                        most: f64::INFINITY,
+                    })
+                    .collect();
+                let rounds = self.rounds(&solver.scheme.end, direct, asked);
                 solver.deadline.check()?;
-                self.starts[target] += count as u32;
-                costs[target].extend(round.costs);
-                found.extend(self.promising(target, round.found));
+                for (&target, round) in together.iter().zip(rounds) {
+                    self.starts[target] += count as u32;
+                    costs[target].extend(round.costs);
+                    found.extend(self.promising(target, round.found));
+                }
             }
             self.solve_from(solver, direct, found)?;
             progress(
@@ -88,6 +106,16 @@ impl Survey<'_> {
             !self.is_confirmed(*t, &costs[*t], times) || costs[*t].iter().any(rivals)
         };
         Ok(targets.iter().copied().filter(is_doubtful).collect())
+    }
+
+    /// What guesses lead to from some targets.
+    pub(super) fn rounds(&self, end: &End, direct: &Direct<'_>, asked: Vec<Asked>) -> Vec<Round> {
+        let from: Vec<(Vec<f64>, Asked)> = (asked.into_iter())
+            .map(|asked| (self.state(asked.target, 0), asked))
+            .collect();
+        (from.par_iter())
+            .map(|(s, asked)| direct.optimized(s, &asked.guesses, asked.most, end))
+            .collect()
     }
 
     /// Whether from states over the whole region all guesses lead to about the same.
@@ -145,20 +173,29 @@ impl Survey<'_> {
         mut found: Vec<(usize, Optimized)>,
     ) -> Result<(), BackendError> {
         self.solve_along_all(solver, &found)?;
-        let is_lost = |survey: &Self, (target, one): &(usize, Optimized)| {
-            times(1.0 + OFF, one.cost) < survey.least_value(*target)
+        let is_lost = |survey: &Self, target: usize, cost: f64| {
+            times(1.0 + OFF, cost) < survey.least_value(target)
         };
-        found.retain(|one| is_lost(self, one));
+        // What was shortened in vain before need not be again.
+        let is_new = |survey: &Self, target: usize, cost: f64| {
+            let known = survey.lost.get(&target);
+            known.is_none_or(|(known, _)| (known - cost).abs() > OFF * cost.abs())
+        };
+        found.retain(|(t, one)| is_lost(self, *t, one.cost) && is_new(self, *t, one.cost));
         let end = &solver.scheme.end;
-        found = (found.into_par_iter())
-            .filter_map(|(target, one)| Some((target, direct.refined(&one, end)?)))
+        let mut shorter: Vec<(f64, (usize, Optimized))> = (found.into_par_iter())
+            .filter_map(|(target, one)| Some((one.cost, (target, direct.refined(&one, end)?))))
             .collect();
         solver.deadline.check()?;
-        found.retain(|one| is_lost(self, one));
-        self.solve_along_all(solver, &found)?;
-        found.retain(|one| is_lost(self, one));
-        for (target, one) in found {
-            self.lost.push((target, one.path));
+        shorter.retain(|(_, (target, one))| is_lost(self, *target, one.cost));
+        let (costs, shorter): (Vec<f64>, Vec<(usize, Optimized)>) = shorter.into_iter().unzip();
+        self.solve_along_all(solver, &shorter)?;
+        for (cost, (target, one)) in costs.into_iter().zip(shorter) {
+            let known = self.lost.get(&target);
+            let is_cheapest = known.is_none_or(|(known, _)| cost < *known);
+            if is_cheapest && is_lost(self, target, one.cost) {
+                self.lost.insert(target, (cost, one.path));
+            }
         }
         Ok(())
     }
