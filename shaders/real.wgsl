@@ -12,8 +12,8 @@ struct SinCos {
 }
 
 fn is_finite(x: real) -> bool {
-    // An f64 beyond f32's range counts as not finite.
-    return (bitcast<u32>(f32(x)) & 0x7f800000u) != 0x7f800000u;
+    let largest = u32(2 * BIAS + 1);
+    return (u32(bitcast<bits>(x) >> MANTISSA) & largest) != largest;
 }
 
 fn sin_cos(x: real) -> SinCos {

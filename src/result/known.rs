@@ -120,7 +120,7 @@ fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
         .filter(|(status, _)| Status::FAILURES.contains(status))
         .filter_map(|(_, name)| summary.status.get(*name));
     SweepRecord {
-        gaps: Some((coverage.gaps_for_want_of_seeds + coverage.gaps_indistinguishable) as u64),
+        gaps: Some(coverage.gaps() as u64),
         widest: coverage.widest_gap.unwrap_or(f64::NAN),
         failed: failed.map(|n| *n as u64).sum(),
     }

@@ -9,7 +9,7 @@
 use super::caustic::FoldPoint;
 use super::gaps::Gaps;
 use super::neighbours::{Edge, Neighbours, Vertex, Waiting};
-use super::nodes::{Nodes, Slot, State};
+use super::nodes::{Extent, Nodes, Place, Slot, State};
 use super::observe::{self, Observed, Strip};
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
@@ -40,6 +40,13 @@ const KEPT: usize = 1 << 17;
 /// the ones beside it do, halving those in turns would put seeds into the same places for ever.
 const NEAR: f64 = 1.0 / 64.0;
 
+/// A seed that a guard excludes is moved onto it when that is so near, likewise.
+const BESIDE: f64 = 0.3;
+
+/// Halvings of a pair until no number is left between, and those beside in each direction.
+const DIGITS: u16 = 56;
+const DIVISIONS: u16 = 4;
+
 /// How well the fronts are covered.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Coverage {
@@ -47,12 +54,23 @@ pub struct Coverage {
     pub uncovered: usize,
     /// Pairs still apart although no number of the precision lies between their seeds.
     pub indistinguishable: usize,
+    /// Pairs still apart where seeds crowd, and more of them would leave others apart: at guards
+    /// that cut the surface of seeds.
+    pub crowded: usize,
     /// The widest gap left among these, as a fraction of the region's box.
     pub widest: f64,
     /// Pairs looked at.
     pub pairs: usize,
     /// Seeds outside a guard, which were not swept.
     pub outside_guards: usize,
+}
+
+impl Coverage {
+    /// Neighbouring pairs further apart than the spacing that remain.
+    #[must_use]
+    pub fn gaps(&self) -> usize {
+        self.uncovered + self.indistinguishable + self.crowded
+    }
 }
 
 /// What a sweep did.
@@ -173,6 +191,7 @@ struct Middle {
     distinct: bool,
     /// Whether a common neighbour of the ends is there already.
     taken: bool,
+    depth: u16,
 }
 
 struct Fronts<'a> {
@@ -237,7 +256,7 @@ impl<'a> Fronts<'a> {
         };
         for parameter in parameters {
             let (parameter, seed, guarded) = plan.surface.placed(parameter);
-            this.place(&parameter, &seed, guarded, false);
+            this.place(&parameter, &seed, guarded, false, 0);
         }
         this
     }
@@ -269,7 +288,14 @@ impl<'a> Fronts<'a> {
     }
 
     /// Enters a vertex, to be swept if it is inside the guards.
-    fn place(&mut self, parameter: &[f64], seed: &[f64], guarded: Guarded, at_guard: bool) {
+    fn place(
+        &mut self,
+        parameter: &[f64],
+        seed: &[f64],
+        guarded: Guarded,
+        at_guard: bool,
+        depth: u16,
+    ) {
         let state = if guarded.inside {
             State::Pending
         } else {
@@ -277,8 +303,12 @@ impl<'a> Fronts<'a> {
             self.placed_outside = true;
             State::Outside
         };
-        let boundary = at_guard || guarded.on_boundary;
-        let vertex = self.nodes.add(parameter, seed, state, boundary);
+        let at = Place {
+            state,
+            boundary: at_guard || guarded.on_boundary,
+            depth,
+        };
+        let vertex = self.nodes.add(parameter, seed, at);
         if guarded.inside {
             self.pending.push(vertex);
         }
@@ -534,15 +564,24 @@ impl<'a> Fronts<'a> {
                 self.neighbours.settle(edge);
                 continue;
             }
-            if middle.distinct {
+            if middle.distinct && middle.depth <= self.deepest() {
                 self.neighbours.split(edge);
-                self.place(parameter, seed, middle.guarded, middle.at_guard);
+                self.place(
+                    parameter,
+                    seed,
+                    middle.guarded,
+                    middle.at_guard,
+                    middle.depth,
+                );
                 continue;
             }
             // A boundary that coincides with its inner end leaves nothing between; a gap does.
-            if !middle.at_guard {
+            if middle.distinct || !middle.at_guard {
                 let coverage = &mut self.report.coverage;
-                coverage.indistinguishable += 1;
+                match middle.distinct {
+                    true => coverage.crowded += 1,
+                    false => coverage.indistinguishable += 1,
+                }
                 coverage.widest = coverage.widest.max(f64::from(gap));
             }
             self.neighbours.settle(edge);
@@ -566,16 +605,32 @@ impl<'a> Fronts<'a> {
             (true, false) => parameter.copy_from_slice(&surface.boundary(q, p)),
             _ => surface.toward_into(p, q, 0.5, parameter),
         }
-        let guarded = surface.place(parameter, seed, scratch);
-        let at_guard = outside(a) || outside(b);
+        let mut guarded = surface.place(parameter, seed, scratch);
+        let crosses = outside(a) || outside(b);
+        let mut at_guard = crosses;
+        // A surface of seeds follows a guard by seeds on it, not by pairs on either side.
+        if !(crosses || guarded.inside)
+            && let Some(moved) = surface.onto_guard(parameter, BESIDE * square(p, q).sqrt())
+        {
+            parameter.copy_from_slice(&moved);
+            guarded = surface.place(parameter, seed, scratch);
+            at_guard = true;
+        }
         let near = NEAR * NEAR * square(p, q);
         Middle {
             guarded,
             at_guard,
-            taken: !at_guard
+            taken: !crosses
                 && (around.iter()).any(|v| square(parameter, nodes.parameter(*v)) < near),
             distinct: self.differ(seed, nodes.seed(a)) && self.differ(seed, nodes.seed(b)),
+            depth: nodes.depth(a).max(nodes.depth(b)) + 1,
         }
+    }
+
+    /// Pairs that are halved one after the other at most: any can be until no number is left, and
+    /// a few times besides in each direction of the surface.
+    fn deepest(&self) -> u16 {
+        DIGITS + DIVISIONS * self.plan.system.states as u16
     }
 
     /// Whether the kernel sees different states of two seeds.
@@ -624,5 +679,9 @@ fn record(plan: &Plan, batch: &Trajectories, i: usize, path: &mut [f32], slot: &
     let end = &batch.end[i * batch.dim..][..batch.dim];
     let fold = (batch.status[i] != Status::Reached && plan.is_folded(end))
         .then(|| (end[..n].iter().zip(&plan.widths)).map(|(s, w)| (s / w) as f32));
+    let passed = Extent {
+        levels: passed as u32,
+        at_guard: batch.status[i] == Status::Guard,
+    };
     slot.fill(path, passed, fold);
 }

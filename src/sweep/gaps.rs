@@ -13,6 +13,8 @@ pub(super) struct Passed<'p> {
     pub path: &'p [f32],
     /// Levels passed.
     pub levels: usize,
+    /// Whether it has ended at a guard.
+    pub at_guard: bool,
     /// Where it has ended in a fold.
     pub fold: Option<&'p [f32]>,
 }
@@ -111,7 +113,7 @@ impl Gaps {
         }
         // What the longer one passes alone may lie in the region although the shorter one ends
         // outside.
-        let longer = if a.levels > b.levels { a } else { b };
+        let (longer, shorter) = if a.levels > b.levels { (a, b) } else { (b, a) };
         let alone = || {
             (common..longer.levels).any(|level| {
                 let x = self.at(longer.path, level);
@@ -122,8 +124,8 @@ impl Gaps {
             (Some(x), Some(y)) if self.may_meet(x, y) || alone() => distance(x, y),
             // Any gap above the spacing will do.
             (Some(x), None) | (None, Some(x)) if self.may_meet(x, x) || alone() => 1.0,
-            // One has left for good, the other comes back.
-            (None, None) if alone() => 1.0,
+            // One has left for good, the other comes back. (A guard is no caustic.)
+            (None, None) if !shorter.at_guard && alone() => 1.0,
             _ => 0.0,
         }
     }
@@ -132,5 +134,32 @@ impl Gaps {
     fn at(&self, path: &[f32], level: usize) -> Vec<f32> {
         let stride = path.len() / self.bounds.len();
         path.iter().skip(level).step_by(stride).copied().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of two that part where one ends at a guard there is no caustic between; where it has left
+    /// the region, there may be.
+    #[test]
+    fn a_guard_is_no_caustic() {
+        let gaps = Gaps {
+            bounds: vec![[-1.0, 1.0]],
+            spacing: 0.1,
+            folds: true,
+            simd: Simd::Baseline,
+        };
+        let paths = [[0.0; BLOCK], [0.05; BLOCK]];
+        for (at_guard, expected) in [(true, 0.05), (false, 1.0)] {
+            let [short, long] = [(3, at_guard), (4, false)].map(|(levels, at_guard)| Passed {
+                path: &paths[levels - 3],
+                levels,
+                at_guard,
+                fold: None,
+            });
+            assert_eq!(gaps.between(short, long), expected, "guard: {at_guard}");
+        }
     }
 }

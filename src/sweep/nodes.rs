@@ -16,6 +16,14 @@ pub(super) enum State {
     Swept,
 }
 
+/// What is known of a new vertex.
+pub(super) struct Place {
+    pub state: State,
+    /// Whether it is on the boundary of a guard.
+    pub boundary: bool,
+    pub depth: u16,
+}
+
 /// Rows of vertices.
 pub(super) struct Nodes {
     /// By vertex.
@@ -34,25 +42,35 @@ pub(super) struct Nodes {
     state: Vec<State>,
     /// On the boundary of a guard: nothing is between it and an outside neighbour.
     boundary: Vec<bool>,
-    /// Levels passed.
-    passed: Vec<u32>,
+    /// Pairs that were halved one after the other up to it.
+    depth: Vec<u16>,
+    passed: Vec<Extent>,
     /// Where trajectories have ended in folds, in widths of the region; NaN where they have not.
     folds: Vec<f32>,
     paths: Paths,
 }
 
+/// How far a trajectory came.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Extent {
+    /// Levels passed.
+    pub levels: u32,
+    /// Whether it has ended at a guard.
+    pub at_guard: bool,
+}
+
 /// What a swept trajectory leaves with its vertex.
 pub(super) struct Slot<'n> {
     row: Row<'n>,
-    passed: &'n mut u32,
+    passed: &'n mut Extent,
     fold: &'n mut [f32],
 }
 
 impl Slot<'_> {
     /// `path`: as [`Passed::path`].
-    pub fn fill(&mut self, path: &[f32], passed: usize, fold: Option<impl Iterator<Item = f32>>) {
+    pub fn fill(&mut self, path: &[f32], passed: Extent, fold: Option<impl Iterator<Item = f32>>) {
         self.row.write(path);
-        *self.passed = passed as u32;
+        *self.passed = passed;
         match fold {
             Some(fold) => self.fold.iter_mut().zip(fold).for_each(|(to, x)| *to = x),
             None => self.fold.fill(f32::NAN),
@@ -75,6 +93,7 @@ impl Nodes {
             seeds: Vec::new(),
             state: Vec::new(),
             boundary: Vec::new(),
+            depth: Vec::new(),
             passed: Vec::new(),
             folds: Vec::new(),
             paths: Paths::new(states, levels),
@@ -97,20 +116,27 @@ impl Nodes {
     }
 
     /// Enters a new vertex; they come in order.
-    pub fn add(&mut self, parameter: &[f64], seed: &[f64], state: State, boundary: bool) -> Vertex {
+    pub fn add(&mut self, parameter: &[f64], seed: &[f64], at: Place) -> Vertex {
+        let Place {
+            state,
+            boundary,
+            depth,
+        } = at;
         let row = self.free.pop().unwrap_or_else(|| {
             let row = self.state.len();
             self.seeds.resize((row + 1) * self.seed, 0.0);
             self.folds.resize((row + 1) * self.states, f32::NAN);
             self.state.push(state);
             self.boundary.push(boundary);
-            self.passed.push(0);
+            self.depth.push(depth);
+            self.passed.push(Extent::default());
             row as u32
         });
-        let at = row as usize;
-        self.seeds[at * self.seed..][..self.seed].copy_from_slice(seed);
-        self.state[at] = state;
-        self.boundary[at] = boundary;
+        let row_at = row as usize;
+        self.seeds[row_at * self.seed..][..self.seed].copy_from_slice(seed);
+        self.state[row_at] = state;
+        self.boundary[row_at] = boundary;
+        self.depth[row_at] = depth;
         self.row.push(row);
         let place = self.free_places.pop().unwrap_or_else(|| {
             let place = self.parameters.len() / self.parameter;
@@ -153,6 +179,11 @@ impl Nodes {
         self.row(vertex).is_some_and(|row| self.boundary[row])
     }
 
+    /// Pairs that were halved one after the other up to a vertex that is not forgotten.
+    pub fn depth(&self, vertex: Vertex) -> u16 {
+        self.row(vertex).map_or(0, |row| self.depth[row])
+    }
+
     /// The parameter of a vertex; nothing of one whose place is forgotten.
     pub fn parameter(&self, vertex: Vertex) -> &[f64] {
         match self.place[vertex as usize] {
@@ -172,7 +203,8 @@ impl Nodes {
         let fold = &self.folds[row * self.states..][..self.states];
         Some(Passed {
             path: self.paths.read(row as u32, buffer),
-            levels: self.passed[row] as usize,
+            levels: self.passed[row].levels as usize,
+            at_guard: self.passed[row].at_guard,
             fold: (!fold[0].is_nan()).then_some(fold),
         })
     }

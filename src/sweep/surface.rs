@@ -283,21 +283,11 @@ impl Surface {
     /// outside by rounding alone: points between two on a guard's boundary lie on it, but for
     /// rounding.
     fn nudge(&self, parameter: &[f64], seed: &[f64], values: &[f64]) -> Option<Vec<f64>> {
-        const STEP: f64 = 1e-6;
         let size = self.size(seed);
         let worst = (values.iter().copied().enumerate()).min_by(|a, b| a.1.total_cmp(&b.1));
         let (k, value) =
             worst.filter(|(k, v)| !holds(*v, self.strict[*k]) && *v >= -ROUNDING * size)?;
-        let slopes: Vec<f64> = (0..parameter.len())
-            .map(|i| {
-                let at = |sign: f64| {
-                    let mut q = parameter.to_vec();
-                    q[i] += sign * STEP;
-                    self.guard_values(&self.seed(&q))[k]
-                };
-                (at(1.0) - at(-1.0)) / (2.0 * STEP)
-            })
-            .collect();
+        let slopes = self.guard_slopes(parameter, k);
         let square: f64 = slopes.iter().map(|x| x * x).sum();
         // Twice the way, so that rounding does not leave it outside again.
         let factor = (-2.0 * value + f64::EPSILON * size) / square;
@@ -305,6 +295,42 @@ impl Surface {
             .map(|(q, d)| q + factor * d)
             .collect();
         moved.iter().all(|x| x.is_finite()).then_some(moved)
+    }
+
+    /// Derivatives of a guard's value by the parameter, by central differences.
+    fn guard_slopes(&self, parameter: &[f64], guard: usize) -> Vec<f64> {
+        const STEP: f64 = 1e-6;
+        let at = |i: usize, by: f64| {
+            let mut q = parameter.to_vec();
+            q[i] += by;
+            self.guard_values(&self.seed(&q))[guard]
+        };
+        let slope = |i: usize| (at(i, STEP) - at(i, -STEP)) / (2.0 * STEP);
+        (0..parameter.len()).map(slope).collect()
+    }
+
+    /// The parameter on a guard's boundary straight in front of one that it excludes, if that is
+    /// no further than `reach`. What is on the surface's rim stays there.
+    pub fn onto_guard(&self, outside: &[f64], reach: f64) -> Option<Vec<f64>> {
+        let values = self.guard_values(&self.seed(outside));
+        let worst = (values.iter().enumerate()).min_by(|a, b| a.1.total_cmp(b.1));
+        let mut slopes = self.guard_slopes(outside, worst?.0);
+        let is_box = matches!(self.kind, Kind::Box { .. });
+        for (slope, q) in slopes.iter_mut().zip(outside) {
+            if is_box && (*q <= 0.0 || *q >= 1.0) {
+                *slope = 0.0;
+            }
+        }
+        let norm = slopes.iter().map(|x| x * x).sum::<f64>().sqrt();
+        let mut inside: Vec<f64> = (outside.iter().zip(&slopes))
+            .map(|(q, slope)| q + reach * slope / norm)
+            .collect();
+        if is_box {
+            inside.iter_mut().for_each(|q| *q = q.clamp(0.0, 1.0));
+        }
+        let inside = self.normalized(inside);
+        let is_inside = inside.iter().all(|q| q.is_finite()) && self.inside(&self.seed(&inside));
+        is_inside.then(|| self.boundary(&inside, outside))
     }
 
     /// Last parameter inside the guards on the way from `inside` to `outside`.

@@ -229,6 +229,38 @@ fn seeds_do_not_go_round_in_a_circle() {
     );
 }
 
+/// Where guards cut the seeds' surface these follow its edge by seeds on it (pairs on either side took
+/// 40,825 trajectories here), and what crowds all the same comes to an end.
+#[test]
+fn seeds_follow_a_guard() {
+    let swept = |spacing: f64| {
+        let model = parse(&format!(
+            r#"
+            states = {{ x = {{}}, v = {{}}, z = {{}}, w = {{}} }}
+            controls = {{ a = {{}}, b = {{}} }}
+            dynamics = {{ x = "v", v = "a", z = "w", w = "b" }}
+            cost = {{ running = "0.5*a^2 + 0.5*b^2 + 0.1*x^2*z^2", terminal = "5*(x^2 + v^2 + z^2 + w^2)", final_time = 1.0 }}
+            guards = {{ ball = "(x - 0.3)^2 + (z - 0.2)^2 + v^2 > 0.2" }}
+            region = {{ x = [-1, 1], v = [-1, 1], z = [-1, 1], w = [-1, 1] }}
+            shoot_out = {{ spacing = {spacing}, samples = 20, max_seeds = 1000000 }}
+            "#
+        ));
+        let sweep = Sweep::of(&model, F64);
+        let outside = |s: &Sample| {
+            (s.x[0] - 0.3).powi(2) + (s.x[2] - 0.2).powi(2) + s.x[1].powi(2) < 0.2 - 1e-9
+        };
+        assert_eq!(sweep.samples().filter(outside).count(), 0);
+        sweep.report
+    };
+    let report = swept(0.5);
+    assert_eq!(report.coverage.gaps(), 0);
+    assert!(report.trajectories < 22_000, "{}", report.trajectories);
+    let report = swept(0.35);
+    let coverage = &report.coverage;
+    assert_eq!(coverage.gaps(), coverage.crowded);
+    assert!(report.trajectories < 100_000, "{}", report.trajectories);
+}
+
 /// The guard R >= 0 of the compressor: nothing stored is outside, and the plane R = 0, which
 /// trajectories cannot leave, is kept.
 #[test]

@@ -270,7 +270,7 @@ impl Figures {
     fn add_sweep(&mut self, summary: &RunSummary) {
         self.add("Trajectories", counts(&summary.status));
         let gaps = &summary.coverage;
-        let open = gaps.gaps_for_want_of_seeds + gaps.gaps_indistinguishable;
+        let open = gaps.gaps();
         let widest = gaps.widest_gap.map_or_else(String::new, |w| {
             format!(", the widest {} of the region", significant(w, 3))
         });

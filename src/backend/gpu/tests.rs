@@ -298,16 +298,16 @@ fn special_values_are_kept() {
             (inf, -inf, inf),
         ];
         check("greatest(a, b)", &pairs);
-        let largest = if precision == Precision::F32 {
-            f64::from(f32::MAX)
-        } else {
-            1e38
+        let largest = match precision {
+            Precision::F32 => f64::from(f32::MAX),
+            Precision::F64 => f64::MAX,
         };
         let finite = [
             (nan, 0.0, 0.0),
             (inf, 0.0, 0.0),
             (-inf, 0.0, 0.0),
             (largest, 0.0, 1.0),
+            (-largest, 0.0, 1.0),
             (-0.0, 0.0, 1.0),
         ];
         check("select(real(0.0), 1.0, is_finite(a))", &finite);

@@ -122,9 +122,20 @@ pub struct CoverageSummary {
     pub gaps_for_want_of_seeds: usize,
     /// Pairs further apart than that with no number between their seeds.
     pub gaps_indistinguishable: usize,
+    /// Pairs further apart than that where seeds crowd at guards, and more would leave others.
+    #[serde(default)]
+    pub gaps_crowded: usize,
     pub widest_gap: Option<f64>,
     /// Seeds that guards exclude.
     pub seeds_outside_guards: usize,
+}
+
+impl CoverageSummary {
+    /// Pairs of neighbours further apart than the spacing that remain.
+    #[must_use]
+    pub fn gaps(&self) -> usize {
+        self.gaps_for_want_of_seeds + self.gaps_indistinguishable + self.gaps_crowded
+    }
 }
 
 /// Errors of the sweep: a random sample integrated again with a finer tolerance.
@@ -281,6 +292,7 @@ impl Session<'_> {
                 pairs: coverage.pairs,
                 gaps_for_want_of_seeds: coverage.uncovered,
                 gaps_indistinguishable: coverage.indistinguishable,
+                gaps_crowded: coverage.crowded,
                 widest_gap: finite(coverage.widest),
                 seeds_outside_guards: coverage.outside_guards,
             },

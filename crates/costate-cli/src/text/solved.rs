@@ -264,7 +264,7 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
             c.outside_guards
         ));
     }
-    lines.push(if c.uncovered + c.indistinguishable == 0 {
+    lines.push(if c.gaps() == 0 {
         covered_text(plan, swept)
     } else {
         gaps_text(plan, swept)
@@ -334,9 +334,15 @@ fn gaps_text(plan: &Plan, swept: &SweepReport) -> String {
             plan.spec.precision.name()
         ));
     }
+    if c.crowded > 0 {
+        reasons.push(format!(
+            "{} where seeds crowd, and more would leave others",
+            c.crowded
+        ));
+    }
     format!(
         "fronts NOT fully covered: {} gaps wider than {} remain ({}), the widest {:.3} of the region",
-        c.uncovered + c.indistinguishable,
+        c.gaps(),
         plan.shoot_out.spacing,
         reasons.join(", "),
         c.widest
