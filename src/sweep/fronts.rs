@@ -42,6 +42,8 @@ const NEAR: f64 = 1.0 / 64.0;
 
 /// A seed that a guard excludes is moved onto it when that is so near, likewise.
 const BESIDE: f64 = 0.3;
+/// Halvings one after the other, for each state, up to which it is.
+const MOVED: u16 = 4;
 
 /// Halvings of a pair until no number is left between, and those beside in each direction.
 const DIGITS: u16 = 56;
@@ -608,9 +610,14 @@ impl<'a> Fronts<'a> {
         let mut guarded = surface.place(parameter, seed, scratch);
         let crosses = outside(a) || outside(b);
         let mut at_guard = crosses;
-        // A surface of seeds follows a guard by seeds on it, not by pairs on either side.
-        if !(crosses || guarded.inside)
-            && let Some(moved) = surface.onto_guard(parameter, BESIDE * square(p, q).sqrt())
+        let depth = nodes.depth(a).max(nodes.depth(b)) + 1;
+        // A surface of seeds follows a guard by seeds on it, not by pairs on either side; but where
+        // they crowd, one outside ends it.
+        let moves = !crosses && !guarded.inside && depth <= MOVED * self.plan.system.states as u16;
+        let reach = BESIDE * square(p, q).sqrt();
+        if let Some(moved) = moves
+            .then(|| surface.onto_guard(parameter, reach))
+            .flatten()
         {
             parameter.copy_from_slice(&moved);
             guarded = surface.place(parameter, seed, scratch);
@@ -623,7 +630,7 @@ impl<'a> Fronts<'a> {
             taken: !crosses
                 && (around.iter()).any(|v| square(parameter, nodes.parameter(*v)) < near),
             distinct: self.differ(seed, nodes.seed(a)) && self.differ(seed, nodes.seed(b)),
-            depth: nodes.depth(a).max(nodes.depth(b)) + 1,
+            depth,
         }
     }
 
