@@ -48,6 +48,38 @@ fn manufactured_value_at_every_target() {
     }
 }
 
+/// How many threads there are, and whether the caller is one of them, decides who follows which
+/// ways, but not where these lead.
+#[test]
+fn threads_change_no_bit() {
+    let swept = Swept::new(scene("pendulum", &[]), 300);
+    let answers = || {
+        let axes = vec![spaced(-1.5, 6.0, 12), spaced(-4.0, 4.0, 7)];
+        let answers = swept.grid(axes);
+        let bits = |v: &[f64]| v.iter().map(|v| v.to_bits()).collect::<Vec<u64>>();
+        let entries = answers.entries.iter();
+        let told: Vec<_> = entries
+            .map(|e| {
+                (
+                    e.target,
+                    e.sheet,
+                    e.value.to_bits(),
+                    bits(&e.p),
+                    e.iterations,
+                )
+            })
+            .collect();
+        assert!(told.len() > 100, "{} solutions", told.len());
+        (told, answers.support, answers.evaluations)
+    };
+    let outside = answers();
+    for threads in [1, 2, 3] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+        let within = pool.expect("threads can be started").install(answers);
+        assert!(within == outside, "on {threads} threads");
+    }
+}
+
 /// Eight states: a chain of four masses, with P from the Riccati equation, which tests/local.rs
 /// checks on its own.
 #[test]
