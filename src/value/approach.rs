@@ -15,6 +15,8 @@ const COHORT: usize = 4096;
 /// Parts of them a thread, and segments of a part at least.
 const PARTS: usize = 4;
 const SEGMENTS: usize = 64;
+/// A part of which no more than one in so many is left is done.
+const LEFT: usize = 4;
 
 /// One way from a path to a target. The path need not be a solution: it is tried as a guess for the
 /// target first.
@@ -196,11 +198,7 @@ pub fn follow(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendE
 
 fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
     let done = if solver.is_alone() {
-        let part = part_of(ways);
-        match solver.apart(ways.par_chunks_mut(part), each_by_itself) {
-            Some(done) => done,
-            None => each_by_itself(solver, ways),
-        }
+        apart(solver, ways)
     } else {
         in_step(solver, ways)
     };
@@ -218,20 +216,38 @@ fn follow_together(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Bac
     Ok(())
 }
 
+/// A way with the problems that it tries now.
+type Trying<'w> = (&'w mut Approach, Vec<(Job, f64)>);
+
+/// Parts of the ways, each on one thread, until most of a part are done; the others are shared out
+/// anew, so that no thread is left with several long ones.
+fn apart(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
+    let mut open: Vec<Trying<'_>> = ways.iter_mut().map(|way| (way, Vec::new())).collect();
+    while !open.is_empty() {
+        let part = part_of(&open);
+        match solver.apart(open.par_chunks_mut(part), each_by_itself) {
+            Some(done) => done?,
+            None => each_by_itself(solver, &mut open)?,
+        }
+        open.retain(|(way, tried)| way.is_active() || !tried.is_empty());
+    }
+    Ok(())
+}
+
 /// Ways that one thread follows together: as many as fill its lanes, and of many so many that all
 /// threads are busy to the end.
-fn part_of(ways: &[Approach]) -> usize {
-    let segments: usize = ways.iter().map(|way| way.job.path.segments()).sum();
+fn part_of(ways: &[Trying<'_>]) -> usize {
+    let segments: usize = ways.iter().map(|(way, _)| way.job.path.segments()).sum();
     let full = (SEGMENTS * ways.len()).div_ceil(segments.max(1));
     let share = ways.len().div_ceil(PARTS * rayon::current_num_threads());
     share.max(full).max(1)
 }
 
-/// Each way tries its next problems as soon as its last ones are decided.
-fn each_by_itself(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), BackendError> {
-    let mut trying: Vec<Vec<(Job, f64)>> = ways.iter().map(|_| Vec::new()).collect();
+/// Each way tries its next problems as soon as its last ones are decided, until most are done.
+fn each_by_itself(solver: &mut Solver, ways: &mut [Trying<'_>]) -> Result<(), BackendError> {
+    let enough = ways.len() / LEFT;
     loop {
-        (ways.par_iter_mut().zip(&mut trying)).for_each(|(way, tried)| {
+        ways.par_iter_mut().for_each(|(way, tried)| {
             if !tried.is_empty() && is_decided(tried) {
                 way.learn(std::mem::take(tried));
             }
@@ -242,14 +258,16 @@ fn each_by_itself(solver: &mut Solver, ways: &mut [Approach]) -> Result<(), Back
                     .for_each(|(job, _)| solver.scheme.begin(job));
             }
         });
-        let jobs = trying.iter_mut().flatten().map(|(job, _)| job);
-        if !solver.round(jobs)? {
-            // All of what was begun may have failed at once.
-            let idle = |(way, tried): (&Approach, &Vec<_>)| tried.is_empty() && !way.is_active();
-            if ways.iter().zip(&trying).all(idle) {
-                return Ok(());
-            }
+        let is_open = |(way, tried): &&Trying<'_>| !tried.is_empty() || way.is_active();
+        if ways.iter().filter(is_open).count() <= enough {
+            return Ok(());
         }
+        // All of what was begun may have failed at once: then there is nothing to do yet.
+        solver.round(
+            ways.iter_mut()
+                .flat_map(|(_, tried)| tried)
+                .map(|(job, _)| job),
+        )?;
     }
 }
 
