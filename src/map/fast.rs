@@ -1,23 +1,18 @@
 //! Values as fast as can be, for controllers.
 
 use super::nodal::Prediction;
-use super::{BEYOND, INSIDE, LOOK, LocalModel, SAME, Source, Value, ValueMap};
+use super::{BEYOND, INSIDE, LOOK, LocalModel, Value, ValueMap};
 use crate::sweep::Sampling;
 
 /// Nearest sites among which one of the lowest sheet is looked for first, and the distance (in
 /// widths) at which none is.
 const NEAREST: usize = 12;
 const FAR: f64 = 0.5;
-/// Sites at one place that are looked at, more than sheets are kept.
-const TOGETHER: usize = 32;
-/// Nearest sites among which others of its sheet are looked for, and how many are blended.
-const AROUND: usize = 48;
-const BLENDED: usize = 8;
 
 impl ValueMap {
     /// V, p, Hessian and u on the lowest sheet without errors, as fast as can be: what a controller
-    /// asks for. Where only one sheet is near, the local model of the nearest site is the answer, or
-    /// that of a few; else as [`ValueMap::without_errors`].
+    /// asks for. Where only one sheet is near, the local model of the nearest site is the answer;
+    /// else as [`ValueMap::without_errors`].
     pub fn local(&self, x: &[f64]) -> Option<Value> {
         self.local_at(x, 0.0)
     }
@@ -44,15 +39,20 @@ impl ValueMap {
             .zip(&self.plan.widths)
             .map(|(s, w)| s / w)
             .collect();
-        match self.uncontested(&s, &z) {
-            Some(value) => Some(value).filter(|value| self.solves_isaacs(&s, &value.p)),
+        match self.uncontested(&z) {
+            Some(local_model) => {
+                let prediction = local_model.prediction.clone();
+                Some(self.value(&s, &local_model, prediction))
+                    .filter(|value| self.solves_isaacs(&s, &value.p))
+            }
             None => self.without_errors(x).lowest.ok(),
         }
     }
 
-    /// What the nearest sites of the lowest sheet say, where no other sheet is as low around them.
-    fn uncontested(&self, s: &[f64], z: &[f64]) -> Option<Value> {
-        let mut best: Option<Value> = None;
+    /// The local model of the nearest site on the lowest sheet, where no other sheet is as low
+    /// around it.
+    fn uncontested(&self, z: &[f64]) -> Option<LocalModel> {
+        let mut best: Option<LocalModel> = None;
         for (w, winding) in self.windings.iter().enumerate() {
             let place: Vec<f64> = (0..z.len()).map(|i| z[i] + self.turn(winding, i)).collect();
             let near = self.tree.near(&place, f64::INFINITY, NEAREST);
@@ -68,47 +68,21 @@ impl ValueMap {
             if distance > BEYOND * reach {
                 continue;
             }
-            if self.is_contested(site) {
+            if distance > INSIDE * reach || self.is_contested(site) {
                 return None;
             }
             let local_model = self.local_model(&place, w, site, distance, None)?;
-            let value = if distance > INSIDE * reach {
-                let local_models = self.of_its_sheet(&place, local_model);
-                if local_models.len() == 1 {
-                    // A single site, so far away, says nothing: see `blended`.
-                    continue;
-                }
-                let members: Vec<usize> = (0..local_models.len()).collect();
-                self.blended(s, &local_models, &members)?
-            } else if self.is_implausible(&local_model.prediction) {
+            if self.is_implausible(&local_model.prediction) {
                 return None;
-            } else {
-                let prediction = local_model.prediction.clone();
-                self.value(s, &local_model, prediction)
-            };
-            if best.as_ref().is_none_or(|b| value.v < b.v) {
-                best = Some(value);
+            }
+            if best
+                .as_ref()
+                .is_none_or(|b| local_model.prediction.v < b.prediction.v)
+            {
+                best = Some(local_model);
             }
         }
         best
-    }
-
-    /// The local model of the site nearest to a place, with those of sites about it that agree.
-    fn of_its_sheet(&self, place: &[f64], nearest: LocalModel) -> Vec<LocalModel> {
-        let (first, winding) = (nearest.site, nearest.winding);
-        let near = self.tree.near(place, f64::INFINITY, AROUND);
-        let mut local_models = vec![nearest];
-        for (site, distance) in near {
-            if site == first || !self.sites.consistent(first, site) {
-                continue;
-            }
-            let one = self.local_model(place, winding, site, distance, None);
-            local_models.extend(one.filter(|one| self.agree(&local_models[0], one)));
-            if local_models.len() == BLENDED {
-                break;
-            }
-        }
-        local_models
     }
 
     /// Where the running cost is nowhere negative nor is V.
@@ -120,15 +94,6 @@ impl ValueMap {
     fn is_dominated(&self, site: usize) -> bool {
         const MARGIN: f64 = 0.02;
         *self.dominated[site].get_or_init(|| {
-            let v = self.sites.v[site];
-            // A solved state's solutions are all known.
-            if self.sites.source[site] == Source::Solved {
-                let here = self.tree.near(self.sites.z(site), SAME, TOGETHER);
-                let mut values = (here.iter())
-                    .filter(|(k, _)| self.sites.source[*k] == Source::Solved)
-                    .map(|(k, _)| self.sites.v[*k]);
-                return values.any(|here| here < v - MARGIN * v.abs());
-            }
             let w = &self.plan.widths;
             let x: Vec<f64> = (self
                 .sites
@@ -138,6 +103,7 @@ impl ValueMap {
                 .zip(&self.plan.system.reference))
             .map(|((z, w), r)| z * w + r)
             .collect();
+            let v = self.sites.v[site];
             (self.ranked(&x, 0.0).lowest).is_ok_and(|here| here.v < v - MARGIN * v.abs())
         })
     }
