@@ -40,14 +40,14 @@ const KEPT: usize = 1 << 17;
 /// the ones beside it do, halving those in turns would put seeds into the same places for ever.
 const NEAR: f64 = 1.0 / 64.0;
 
-/// A seed that a guard excludes is moved onto it when that is so near, likewise.
+/// A seed that a guard excludes is moved onto it when that is so near, likewise; up to so many
+/// halvings one after the other, for each state.
 const BESIDE: f64 = 0.3;
-/// Halvings one after the other, for each state, up to which it is.
 const MOVED: u16 = 4;
-
-/// Halvings of a pair until no number is left between, and those beside in each direction.
-const DIGITS: u16 = 56;
-const DIVISIONS: u16 = 4;
+/// Seeds crowd where pairs have come of so many halvings one after the other, and those for each
+/// state, and are as long as if half of these had shortened none.
+const HALVINGS: u16 = 56;
+const FOR_A_STATE: u16 = 4;
 
 /// How well the fronts are covered.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -193,7 +193,10 @@ struct Middle {
     distinct: bool,
     /// Whether a common neighbour of the ends is there already.
     taken: bool,
+    /// Halvings one after the other up to it.
     depth: u16,
+    /// Whether these have not made its neighbours nearer to each other.
+    crowded: bool,
 }
 
 struct Fronts<'a> {
@@ -258,7 +261,11 @@ impl<'a> Fronts<'a> {
         };
         for parameter in parameters {
             let (parameter, seed, guarded) = plan.surface.placed(parameter);
-            this.place(&parameter, &seed, guarded, false, 0);
+            let middle = Middle {
+                guarded,
+                ..Middle::default()
+            };
+            this.place(&parameter, &seed, middle);
         }
         this
     }
@@ -290,14 +297,10 @@ impl<'a> Fronts<'a> {
     }
 
     /// Enters a vertex, to be swept if it is inside the guards.
-    fn place(
-        &mut self,
-        parameter: &[f64],
-        seed: &[f64],
-        guarded: Guarded,
-        at_guard: bool,
-        depth: u16,
-    ) {
+    fn place(&mut self, parameter: &[f64], seed: &[f64], middle: Middle) {
+        let Middle {
+            guarded, at_guard, ..
+        } = middle;
         let state = if guarded.inside {
             State::Pending
         } else {
@@ -308,7 +311,7 @@ impl<'a> Fronts<'a> {
         let at = Place {
             state,
             boundary: at_guard || guarded.on_boundary,
-            depth,
+            depth: middle.depth,
         };
         let vertex = self.nodes.add(parameter, seed, at);
         if guarded.inside {
@@ -566,15 +569,9 @@ impl<'a> Fronts<'a> {
                 self.neighbours.settle(edge);
                 continue;
             }
-            if middle.distinct && middle.depth <= self.deepest() {
+            if middle.distinct && !middle.crowded {
                 self.neighbours.split(edge);
-                self.place(
-                    parameter,
-                    seed,
-                    middle.guarded,
-                    middle.at_guard,
-                    middle.depth,
-                );
+                self.place(parameter, seed, middle);
                 continue;
             }
             // A boundary that coincides with its inner end leaves nothing between; a gap does.
@@ -610,11 +607,12 @@ impl<'a> Fronts<'a> {
         let mut guarded = surface.place(parameter, seed, scratch);
         let crosses = outside(a) || outside(b);
         let mut at_guard = crosses;
-        let depth = nodes.depth(a).max(nodes.depth(b)) + 1;
+        let depth = nodes.depth(a).max(nodes.depth(b)).saturating_add(1);
         // A surface of seeds follows a guard by seeds on it, not by pairs on either side; but where
         // they crowd, one outside ends it.
         let moves = !crosses && !guarded.inside && depth <= MOVED * self.plan.system.states as u16;
-        let reach = BESIDE * square(p, q).sqrt();
+        let long = square(p, q);
+        let reach = BESIDE * long.sqrt();
         if let Some(moved) = moves
             .then(|| surface.onto_guard(parameter, reach))
             .flatten()
@@ -623,7 +621,7 @@ impl<'a> Fronts<'a> {
             guarded = surface.place(parameter, seed, scratch);
             at_guard = true;
         }
-        let near = NEAR * NEAR * square(p, q);
+        let near = NEAR * NEAR * long;
         Middle {
             guarded,
             at_guard,
@@ -631,13 +629,9 @@ impl<'a> Fronts<'a> {
                 && (around.iter()).any(|v| square(parameter, nodes.parameter(*v)) < near),
             distinct: self.differ(seed, nodes.seed(a)) && self.differ(seed, nodes.seed(b)),
             depth,
+            crowded: depth > HALVINGS + FOR_A_STATE * self.plan.system.states as u16
+                && long * f64::from(depth).exp2() > 1.0,
         }
-    }
-
-    /// Pairs that are halved one after the other at most: any can be until no number is left, and
-    /// a few times besides in each direction of the surface.
-    fn deepest(&self) -> u16 {
-        DIGITS + DIVISIONS * self.plan.system.states as u16
     }
 
     /// Whether the kernel sees different states of two seeds.

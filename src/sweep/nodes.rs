@@ -116,12 +116,12 @@ impl Nodes {
     }
 
     /// Enters a new vertex; they come in order.
-    pub fn add(&mut self, parameter: &[f64], seed: &[f64], at: Place) -> Vertex {
+    pub fn add(&mut self, parameter: &[f64], seed: &[f64], new: Place) -> Vertex {
         let Place {
             state,
             boundary,
             depth,
-        } = at;
+        } = new;
         let row = self.free.pop().unwrap_or_else(|| {
             let row = self.state.len();
             self.seeds.resize((row + 1) * self.seed, 0.0);
@@ -132,11 +132,11 @@ impl Nodes {
             self.passed.push(Extent::default());
             row as u32
         });
-        let row_at = row as usize;
-        self.seeds[row_at * self.seed..][..self.seed].copy_from_slice(seed);
-        self.state[row_at] = state;
-        self.boundary[row_at] = boundary;
-        self.depth[row_at] = depth;
+        let at = row as usize;
+        self.seeds[at * self.seed..][..self.seed].copy_from_slice(seed);
+        self.state[at] = state;
+        self.boundary[at] = boundary;
+        self.depth[at] = depth;
         self.row.push(row);
         let place = self.free_places.pop().unwrap_or_else(|| {
             let place = self.parameters.len() / self.parameter;

@@ -43,6 +43,12 @@ fn largest(v: impl IntoIterator<Item = f64>) -> f64 {
     v.into_iter().fold(0.0, |a, x| a.max(x.abs()))
 }
 
+/// The largest component of an adjoint or of a difference of some, scaled.
+pub fn largest_of(scales: &[f64], of: impl Fn(usize) -> f64) -> f64 {
+    let n = scales.len() / 2;
+    largest((0..n).map(|i| of(i) / scales[n + i]))
+}
+
 /// Whether two solutions from the same state are one.
 pub fn same(a: &[f64], b: &[f64], scales: &[f64]) -> bool {
     let (a, b) = (scaled(a, scales), scaled(b, scales));

@@ -431,8 +431,8 @@ fn symmetric(upper: &[Lane], width: usize, square: &mut [Lane]) {
     }
 }
 
-/// `c = a [b; 0 1]`: derivatives by state and control become those by the step's; `b`, `[n][width]`,
-/// is of the states.
+/// `c = a [b; 0 1]`: derivatives by state and control become those by the step's; `b` is of the
+/// states, `[n][width]`.
 #[inline(always)]
 fn chained(a: &[Lane], b: &[Lane], n: usize, c: &mut [Lane]) {
     let width = b.len() / n;

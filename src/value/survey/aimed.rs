@@ -7,6 +7,7 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::cover::{Aimed, Candidate, Cover, lower};
+use crate::value::extremal::largest_of;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -16,7 +17,6 @@ const MOST_AIMED: usize = 6;
 /// more than this share; and certainly so.
 const CHEAPER: f64 = 1e-4;
 const CERTAINLY: f64 = 5e-3;
-
 /// Of trajectories beside each other adjoints differ by at most this share.
 const BESIDE: f64 = 0.05;
 
@@ -83,19 +83,15 @@ impl Survey<'_> {
         })
     }
 
-    /// Whether a trajectory passes beside a solution known at its target: they fit within what it is
-    /// off by.
+    /// Whether a trajectory passes beside a solution known at its target: they fit within what it
+    /// is off by.
     fn is_beside_known(&self, candidate: &Candidate, aimed: &Aimed) -> bool {
-        let n = candidate.goal.len();
-        let largest = |of: &dyn Fn(usize) -> f64| {
-            let each = (0..n).map(|i| (of(i) / self.scales[n + i]).abs());
-            each.fold(0.0, f64::max)
-        };
         self.known_at(candidate).any(|e| {
             let (p, q) = (aimed.adjoint(), e.adjoint());
             let off = aimed.value_by(&candidate.goal, q) - e.value();
+            let apart = largest_of(&self.scales, |i| p[i] - q[i]);
             off.abs() <= CHEAPER * e.value().abs()
-                && largest(&|i| p[i] - q[i]) <= BESIDE * largest(&|i| q[i])
+                && apart <= BESIDE * largest_of(&self.scales, |i| q[i])
         })
     }
 

@@ -7,7 +7,7 @@ use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::cover::{Candidate, Cover, Sought, goes_behind_guards, lower};
-use crate::value::extremal::{Extremal, is_elsewhere};
+use crate::value::extremal::{Extremal, is_elsewhere, largest_of};
 use crate::value::flight::homeward;
 use std::collections::BTreeMap;
 
@@ -400,14 +400,9 @@ impl Survey<'_> {
 
 /// Whether two adjoints agree as far as the spread within a cell lets them be told apart.
 fn alike(a: &[f64], b: &[f64], spread: &[f64], scales: &[f64], within: f64) -> bool {
-    let n = a.len();
-    let largest = |v: &dyn Fn(usize) -> f64| {
-        (0..n)
-            .map(|i| (v(i) / scales[n + i]).abs())
-            .fold(0.0, f64::max)
-    };
-    let size = largest(&|i| a[i].abs().max(b[i].abs()));
-    largest(&|i| a[i] - b[i]) <= within * largest(&|i| spread[i]) + ALIKE * size
+    let size = largest_of(scales, |i| a[i].abs().max(b[i].abs()));
+    let apart = largest_of(scales, |i| a[i] - b[i]);
+    apart <= within * largest_of(scales, |i| spread[i]) + ALIKE * size
 }
 
 /// Of each target the guesses that differ from each other, to be tried now; and the others.

@@ -131,8 +131,8 @@ pub struct Survey<'a> {
     flights: Vec<u32>,
     /// Cost of a flight along the answer itself, of listed states.
     flown: Vec<Option<f64>>,
-    /// Of targets the cheapest trajectory that was optimized directly, costs less than what is known,
-    /// and led to no solution; its cost before its steps were shortened.
+    /// Of targets the cheapest trajectory that was optimized directly, costs less than what is
+    /// known, and led to no solution; its cost before its steps were shortened.
     lost: BTreeMap<usize, (f64, Path)>,
     /// Ways from targets to neighbours that were tried at once.
     leapt: Followed,
