@@ -5,7 +5,7 @@ use super::cover::Cover;
 use super::direct::Direct;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
-use super::survey::{BEYOND, GridGuesses, Miss, PointStatus, Progress, Support, Survey, Wanted};
+use super::survey::{BEYOND, GridGuesses, Mesh, Miss, PointStatus, Progress, Support, Survey, Wanted};
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
@@ -350,16 +350,18 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
     Ok(host.after(draft))
 }
 
-/// A coarse V on a grid over the region, for guesses where the search cannot show the least; none
-/// where that takes long.
-fn coarse_grid(plan: &Plan, model: &Model) -> Option<GridValue> {
-    /// States up to which it is made, and the share of the usual nodes along each axis.
+/// V on a grid over the region, for guesses where the search cannot show the least; none where that
+/// takes long.
+fn guess_grid(plan: &Plan, model: &Model, mesh: Mesh) -> Option<GridValue> {
+    /// States up to which it is made.
     const MOST: usize = 3;
-    const SHARE: f64 = 0.5;
     let serves = !plan.game && plan.system.states <= MOST;
     let hamiltonian = serves.then(|| Hamiltonian::derive(model).ok())??;
     let options = Options {
-        share: SHARE,
+        share: match mesh {
+            Mesh::Coarse => 0.5,
+            Mesh::Usual => 1.0,
+        },
         ..Options::default()
     };
     dynamic_programming::solve(model, &hamiltonian, plan, &options, Device::cpu()).ok()
@@ -441,7 +443,7 @@ fn solve_here(
         survey.direct = Direct::new(plan, model, plan.segment_duration())
             .map(|direct| direct.until(solver.deadline));
     }
-    let mut make = || coarse_grid(plan, model);
+    let mut make = |mesh| guess_grid(plan, model, mesh);
     let second = match &request.grid {
         Some(grid) => GridGuesses::Given(grid),
         None => GridGuesses::OnDemand(&mut make),

@@ -1,6 +1,6 @@
 //! First guesses from V on a grid: its greedy paths.
 
-use super::{Progress, Survey};
+use super::{Mesh, Progress, Survey};
 use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
@@ -37,20 +37,38 @@ impl Survey<'_> {
         Ok(())
     }
 
-    /// The greedy paths from targets at which the search does not show the least, or found nothing.
+    /// The greedy paths from targets at which the search does not show the least, or found nothing;
+    /// of a finer grid from those at which that leads to nothing either.
     pub(super) fn try_doubtful(
         &mut self,
         solver: &mut Solver,
-        make: &mut dyn FnMut() -> Option<GridValue>,
+        make: &mut dyn FnMut(Mesh) -> Option<GridValue>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let doubtful: Vec<usize> = (0..self.targets.len())
             .filter(|t| !self.is_refused(*t) && !self.is_covered(*t))
             .collect();
-        if doubtful.is_empty() {
-            return Ok(());
+        let open = self.try_mesh(solver, make, Mesh::Coarse, doubtful)?;
+        progress("from V on a grid", self.solved(), self.targets.len());
+        if !self.try_mesh(solver, make, Mesh::Usual, open)?.is_empty() {
+            progress("from V on a finer grid", self.solved(), self.targets.len());
         }
-        let Some(grid) = make() else { return Ok(()) };
+        Ok(())
+    }
+
+    /// The greedy paths from some targets on a grid that is made for them; those among them that
+    /// have no solution, and by the grid a V that is of interest.
+    fn try_mesh(
+        &mut self,
+        solver: &mut Solver,
+        make: &mut dyn FnMut(Mesh) -> Option<GridValue>,
+        mesh: Mesh,
+        doubtful: Vec<usize>,
+    ) -> Result<Vec<usize>, BackendError> {
+        let grid = (!doubtful.is_empty()).then(|| make(mesh)).flatten();
+        let Some(grid) = grid else {
+            return Ok(Vec::new());
+        };
         // Where V is above what is of interest there need be no solution.
         let (limits, least) = (&self.targets.limits, |t: usize| {
             grid.value(&self.state(t, 0))
@@ -59,8 +77,8 @@ impl Survey<'_> {
             .filter(|t| !self.at[*t].is_empty() || least(*t).is_some_and(|v| v <= limits[*t]))
             .collect();
         self.try_greedy(solver, &grid, &doubtful)?;
-        progress("from V on a grid", self.solved(), self.targets.len());
-        Ok(())
+        let open = doubtful.into_iter().filter(|t| self.is_open(*t));
+        Ok(open.collect())
     }
 
     /// Solves from the greedy path of each of some targets.

@@ -162,7 +162,16 @@ pub enum GridGuesses<'p> {
     /// At every target.
     Given(&'p GridValue),
     /// Made, where it can be, once the search has left doubts, and for the targets in doubt.
-    OnDemand(&'p mut dyn FnMut() -> Option<GridValue>),
+    OnDemand(&'p mut dyn FnMut(Mesh) -> Option<GridValue>),
+}
+
+/// How fine a grid is that is made for guesses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mesh {
+    /// Half of the usual nodes along each axis.
+    Coarse,
+    /// The usual ones.
+    Usual,
 }
 
 /// A way to try: from which extremal (if any), to which target and winding.
@@ -256,7 +265,17 @@ impl<'a> Survey<'a> {
         }
         self.check_by_flights(solver, progress)?;
         self.label();
+        self.keep_bounds_positive();
         Ok(())
+    }
+
+    /// Where costs are nowhere negative what was left out does not promise less than 0, however far
+    /// tangents of trajectories that part go below it.
+    fn keep_bounds_positive(&mut self) {
+        let is_below = self.uncovered.iter().any(|v| *v < 0.0);
+        if is_below && self.plan.costs_are_positive() {
+            (self.uncovered.iter_mut()).for_each(|v| *v = v.max(0.0));
+        }
     }
 
     /// Ends a search that its deadline has cut short: of what it found nothing is known to be the

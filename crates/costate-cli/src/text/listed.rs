@@ -73,6 +73,9 @@ fn shown_row(answers: &Answers, target: usize, last: usize) -> Vec<String> {
     row
 }
 
+/// Share of V by which a flight may cost more without a word.
+const LOOSE: f64 = 1e-4;
+
 /// What simulated controls along the answers have cost.
 fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
     let listed = &answers.targets.of_given[..done.outcome.listed];
@@ -90,8 +93,18 @@ fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
         );
         Some((number, (flown - value) / value.abs().max(least)))
     });
-    let (home, lost): (Vec<(usize, f64)>, Vec<_>) = all.partition(|(_, more)| more.is_finite());
-    let most = (home.iter()).fold(f64::NEG_INFINITY, |most, (_, more)| most.max(*more));
+    let (mut home, lost): (Vec<(usize, f64)>, Vec<_>) =
+        all.partition(|(_, more)| more.is_finite());
+    home.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let (loosest, most) = home.last().copied().unwrap_or((0, f64::NEG_INFINITY));
+    // A bound that is far above V is no sign that V is wrong: the control was not followed well.
+    let loose = match home.len() {
+        2.. if most > LOOSE => format!(
+            " (at number {loosest}; half of them at most {:.1e})",
+            home[(home.len() - 1) / 2].1.max(0.0)
+        ),
+        _ => String::new(),
+    };
     let lost: Vec<usize> = lost.into_iter().map(|(number, _)| number).collect();
     let said = |what: String| format!("  simulated along the answers, the controls cost {what}");
     match (home.len(), lost.len()) {
@@ -101,9 +114,9 @@ fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
             numbered(&lost)
         ))),
         (_, 0) if most <= 0.0 => Some(said("V and no more".to_owned())),
-        (_, 0) => Some(said(format!("V and at most {most:.1e} of it more"))),
+        (_, 0) => Some(said(format!("V and at most {most:.1e} of it more{loose}"))),
         (home, _) => Some(said(format!(
-            "V and at most {most:.1e} of it more from {home} states; from {} they did not come home",
+            "V and at most {most:.1e} of it more{loose} from {home} states; from {} they did not come home",
             numbered(&lost)
         ))),
     }
