@@ -54,6 +54,14 @@ pub struct SweptTrajectories {
     pub sheet: Vec<i32>,
 }
 
+impl SweptTrajectories {
+    /// Whether costates, controls and times are known, and not values alone.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        self.p.len() == self.x.len()
+    }
+}
+
 /// Solutions at states: the cheapest each, or all of them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SolvedStates {

@@ -376,6 +376,15 @@ pub trait Backend: Send + Sync {
         let _ = (states, precision);
         Ok(None)
     }
+    /// Newton's method for multiple shooting, on the device as a whole; `None` where the host is to
+    /// lead it.
+    ///
+    /// # Errors
+    /// When the precision is not supported or the generated code is refused.
+    fn newton(&self, spec: &NewtonSpec) -> Result<Option<Box<dyn Newton>>, BackendError> {
+        let _ = spec;
+        Ok(None)
+    }
     /// Floating-point operations a second that the device was measured to do (a multiply-add is
     /// two); `None` where that is not known.
     ///
@@ -426,6 +435,74 @@ pub trait Eliminator: Send {
     /// # Errors
     /// Device failures only.
     fn eliminate(&mut self, systems: &Systems) -> Result<Eliminated, BackendError>;
+}
+
+/// The equations of paths, for Newton's method on a device.
+#[derive(Clone, Debug)]
+pub struct NewtonSpec {
+    /// Segments with a group of variation columns each: `(y, D, r, columns)`, see
+    /// [`crate::shooting::Equations`].
+    pub varied: Spec,
+    /// Settings of the integration, first for rough segments.
+    pub runs: [Run; 2],
+    /// Relative size of the last step with each of them.
+    pub tolerances: [f64; 2],
+    /// n, and variation columns of a group.
+    pub states: usize,
+    pub columns: usize,
+    /// Scale of each component of a node.
+    pub scales: Vec<f64>,
+    /// Largest entry of a propagator, and longest step in units of the path's size: where they are
+    /// exceeded the device gives the path up.
+    pub most_growth: f64,
+    pub most_step: f64,
+}
+
+impl NewtonSpec {
+    /// Groups of columns of a segment.
+    #[must_use]
+    pub fn groups(&self) -> usize {
+        2 * self.states / self.columns
+    }
+}
+
+/// First guesses for boundary value problems with a given first state. Arrays row-major, in physical
+/// units but for slopes; segments and nodes of the paths follow each other.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shots {
+    /// Segments of each path; it has one node more.
+    pub segments: Vec<u32>,
+    /// `[node][2n]`: deviations and adjoints.
+    pub nodes: Vec<f64>,
+    /// `[segment]`.
+    pub durations: Vec<f64>,
+    /// `[path][n]`: the state of the first node.
+    pub goals: Vec<f64>,
+    /// `[path][n]`: a state near the last node's, the adjoint g that the end's condition has there,
+    /// and `[path][n x n]` its slope `dg/ds`, scaled.
+    pub ends: Vec<f64>,
+    pub gradients: Vec<f64>,
+    pub hessians: Vec<f64>,
+}
+
+/// What Newton's method on a device made of [`Shots`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Refined {
+    /// `[node][2n]`, of paths that were not solved of no use.
+    pub nodes: Vec<f64>,
+    /// Whether each path met the tolerance, with the end's condition as it was given.
+    pub solved: Vec<bool>,
+    /// Iterations of each path.
+    pub iterations: Vec<u32>,
+}
+
+/// Newton's method without damping over batches of paths on a device.
+pub trait Newton: Send {
+    /// A path's result does not depend on the others.
+    ///
+    /// # Errors
+    /// Device failures only.
+    fn solve(&mut self, shots: &Shots) -> Result<Refined, BackendError>;
 }
 
 /// A kernel on the calling thread, with a run: many short legs of few trajectories.

@@ -21,7 +21,7 @@ const LEAST_CHUNK_BYTES: usize = 16 * 1024;
 /// Values of one variable, row-major in the order of its dimensions.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Values<'v> {
-    /// For a variable of [`Variable::f64`].
+    /// For a variable of [`Variable::f64`], or of [`Variable::f32`], which rounds them.
     F64(&'v [f64]),
     /// For a variable of [`Variable::i32`].
     I32(&'v [i32]),
@@ -32,13 +32,6 @@ impl Values<'_> {
         match self {
             Self::F64(values) => values.len(),
             Self::I32(values) => values.len(),
-        }
-    }
-
-    fn bytes(&self) -> usize {
-        match self {
-            Self::F64(values) => size_of_val(*values),
-            Self::I32(values) => size_of_val(*values),
         }
     }
 
@@ -96,7 +89,31 @@ struct Column {
     /// Elements of one row when the variable grows, of the whole otherwise.
     elements: usize,
     grows: bool,
+    /// Whether it is stored in f32.
+    single: bool,
     dataset: H5Dataset,
+}
+
+impl Column {
+    /// Appends values, or writes all of them; how many bytes they take.
+    fn store(&self, values: Values<'_>) -> Result<usize, Hdf5Error> {
+        match values {
+            Values::F64(values) if self.single => {
+                let rounded: Vec<f32> = values.iter().map(|v| *v as f32).collect();
+                self.put(&rounded)
+            }
+            Values::F64(values) => self.put(values),
+            Values::I32(values) => self.put(values),
+        }
+    }
+
+    fn put<T: H5Type>(&self, values: &[T]) -> Result<usize, Hdf5Error> {
+        match self.grows {
+            true => self.dataset.append(values)?,
+            false => self.dataset.write_raw(values)?,
+        }
+        Ok(size_of_val(values))
+    }
 }
 
 /// Fills a group made by [`ResultFile::group`](super::ResultFile::group).
@@ -204,12 +221,7 @@ impl GroupWriter {
         }
         let mut bytes = 0;
         for (column, values) in order {
-            let result = match values {
-                Values::F64(values) => column.dataset.append(values),
-                Values::I32(values) => column.dataset.append(values),
-            };
-            result.map_err(|error| self.error(&column.name, error))?;
-            bytes += values.bytes();
+            bytes += (column.store(values)).map_err(|error| self.error(&column.name, error))?;
         }
         let numbers: Vec<i64> = (self.rows..self.rows + rows).map(|n| n as i64).collect();
         index
@@ -234,11 +246,10 @@ impl GroupWriter {
         let values = values.into();
         let column = self.column(name, false)?;
         self.check(column, column.elements, &values)?;
-        let result = match values {
-            Values::F64(values) => column.dataset.write_raw(values),
-            Values::I32(values) => column.dataset.write_raw(values),
-        };
-        result.map_err(|error| self.error(name, error))
+        match column.store(values) {
+            Ok(_) => Ok(()),
+            Err(error) => Err(self.error(name, error)),
+        }
     }
 
     fn column(&self, name: &str, grows: bool) -> Result<&Column, OutputError> {
@@ -326,11 +337,16 @@ impl Maker<'_> {
         let name = variable.name.as_str();
         let (dataset, kind) = match &variable.storage {
             Storage::F64 => (self.dataset(name, &shape, Some(f64::NAN))?, Some(F64)),
+            Storage::F32 => (self.dataset(name, &shape, Some(f32::NAN))?, Some(F64)),
             Storage::I32 => (self.dataset::<i32>(name, &shape, None)?, Some(I32)),
             Storage::Text(texts) => (self.texts(name, texts)?, None),
         };
         describe(&dataset, &variable.unit, &variable.long_name)?;
-        if kind == Some(F64) {
+        let single = variable.storage == Storage::F32;
+        if single {
+            let fill = dataset.new_attr::<f32>().shape([1]).create("_FillValue")?;
+            fill.write_array(&[f32::NAN])?;
+        } else if kind == Some(F64) {
             let fill = dataset.new_attr::<f64>().shape([1]).create("_FillValue")?;
             fill.write_array(&[f64::NAN])?;
         }
@@ -348,6 +364,7 @@ impl Maker<'_> {
             kind,
             elements: shape.iter().flatten().product(),
             grows: shape.contains(&None),
+            single,
             dataset,
         }))
     }

@@ -104,6 +104,7 @@ impl Dimension {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Storage {
     F64,
+    F32,
     I32,
     Text(Vec<String>),
 }
@@ -136,6 +137,12 @@ impl Variable {
     #[must_use]
     pub fn f64<'d>(name: &str, dims: impl IntoIterator<Item = &'d str>) -> Self {
         Self::new(name, dims, Storage::F64)
+    }
+
+    /// The same, stored in half of the bytes: what is written to it is rounded to f32.
+    #[must_use]
+    pub fn f32<'d>(name: &str, dims: impl IntoIterator<Item = &'d str>) -> Self {
+        Self::new(name, dims, Storage::F32)
     }
 
     /// Integers (counts, codes) over `dims`, slowest first.

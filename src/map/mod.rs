@@ -64,7 +64,9 @@ use swift::{Swift, turns_into, unwind};
 /// Why there is no value map.
 #[derive(Debug, thiserror::Error)]
 pub enum MapError {
-    #[error("no values are known: there are neither swept trajectories nor solved states")]
+    #[error(
+        "no values are known: there are neither swept trajectories with costates nor solved states"
+    )]
     Empty,
     #[error(transparent)]
     Plan(#[from] PlanError),

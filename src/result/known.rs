@@ -5,6 +5,7 @@ use crate::backend::Status;
 use crate::map::{Known, MapError, SweepRecord, ValueMap};
 use crate::schema;
 use crate::session::summary::RunSummary;
+use crate::trajectories::SweptTrajectories;
 
 /// Why a file gives no value map.
 #[derive(Debug, thiserror::Error)]
@@ -93,7 +94,7 @@ impl Stored {
         // none is interpolated.
         let stopped = self.is_stopped();
         Ok(Known {
-            swept: self.trajectories()?,
+            swept: self.trajectories()?.filter(SweptTrajectories::is_full),
             solved: solved.filter(|_| !stopped),
             grid: self.map()?.filter(|_| !stopped),
             pieces: self.map_pieces()?,

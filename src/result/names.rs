@@ -48,6 +48,8 @@ pub struct TrajectorySchema {
     pub expected_trajectories: Option<usize>,
     /// How the values are stored.
     pub compression: Compression,
+    /// Of trajectories x, V, status and sheet alone, x and V in f32.
+    pub values_only: bool,
 }
 
 impl TrajectorySchema {

@@ -219,7 +219,8 @@ impl Stored {
         })
     }
 
-    /// `/trajectories`; `None` where it is absent.
+    /// `/trajectories`; `None` where it is absent. Of a file that has values alone t, p, u and H are
+    /// empty.
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it.
@@ -235,14 +236,18 @@ impl Stored {
         let &[count, samples] = v.shape.as_slice() else {
             return Err(group.error("V", "not trajectory x sample"));
         };
+        let full = |name: &str, shape: &[usize]| match group.attribute(None, "stored") {
+            Some(_) => Ok(Vec::new()),
+            None => group.shaped(name, shape),
+        };
         Ok(Some(SweptTrajectories {
             count,
             samples,
-            t: group.shaped("t", &[count, samples])?,
+            t: full("t", &[count, samples])?,
             x: group.shaped("x", &[count, samples, n])?,
-            p: group.shaped("p", &[count, samples, n])?,
-            u: group.shaped("u", &[count, samples, m])?,
-            h: group.shaped("H", &[count, samples])?,
+            p: full("p", &[count, samples, n])?,
+            u: full("u", &[count, samples, m])?,
+            h: full("H", &[count, samples])?,
             status: group.i32("status")?.1,
             sheet: group.i32("sheet")?.1,
             v: v.values,

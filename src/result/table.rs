@@ -16,6 +16,8 @@ pub enum Data<'d> {
     Text(Vec<String>),
     /// Numbers that are appended later.
     Later,
+    /// Real numbers that are appended later and stored in f32.
+    LaterInSingle,
 }
 
 impl From<Vec<f64>> for Data<'_> {
@@ -93,6 +95,8 @@ pub struct Table<'t> {
     attributes: Vec<(String, AttributeValue)>,
     rows: Option<usize>,
     compression: Compression,
+    /// Whether variables that the schema always has may be missing.
+    partial: bool,
     /// What is in the table but not in its schema.
     unknown: Option<String>,
 }
@@ -111,6 +115,7 @@ impl<'t> Table<'t> {
             attributes: Vec::new(),
             rows: None,
             compression: Compression::default(),
+            partial: false,
             unknown: None,
         }
     }
@@ -125,6 +130,13 @@ impl<'t> Table<'t> {
     #[must_use]
     pub fn compression(mut self, compression: Compression) -> Self {
         self.compression = compression;
+        self
+    }
+
+    /// Leaves out variables that the schema always has: those that are not put.
+    #[must_use]
+    pub fn partial(mut self) -> Self {
+        self.partial = true;
         self
     }
 
@@ -291,7 +303,7 @@ impl<'t> Table<'t> {
                 When::Disturbances => disturbances,
                 When::With(_) => false,
             };
-            if due && !self.columns.iter().any(|c| c.of.name == own.name) {
+            if due && !self.partial && !self.columns.iter().any(|c| c.of.name == own.name) {
                 return Err(OutputError::MissingVariable {
                     group: group.to_owned(),
                     variable: own.name.to_owned(),
@@ -344,6 +356,7 @@ impl<'t> Table<'t> {
                 over.first().copied().unwrap_or(""),
                 texts.clone(),
             ),
+            (Data::LaterInSingle, Kind::Real) => Variable::f32(&column.name, over),
             (_, Kind::Real | Kind::Text) => Variable::f64(&column.name, over),
             (_, Kind::Integer | Kind::Code) => Variable::i32(&column.name, over),
         };
@@ -367,7 +380,7 @@ impl<'t> Table<'t> {
             let values = match &c.data {
                 Data::F64(values) => Values::F64(values),
                 Data::I32(values) => Values::I32(values),
-                Data::Text(_) | Data::Later => return None,
+                Data::Text(_) | Data::Later | Data::LaterInSingle => return None,
             };
             Some((c.name.as_str(), values))
         });

@@ -2,7 +2,7 @@
 
 use super::TrajectorySchema;
 use super::table::{Data, Table};
-use crate::hdf5::{Group, GroupWriter, OutputError, ResultFile};
+use crate::hdf5::{Group, GroupWriter, OutputError, ResultFile, Values};
 use crate::schema;
 use crate::trajectories::TrajectoryBlock;
 
@@ -12,6 +12,7 @@ pub struct TrajectoryWriter {
     writer: GroupWriter,
     has_controls: bool,
     has_disturbances: bool,
+    values_only: bool,
 }
 
 impl ResultFile {
@@ -28,6 +29,7 @@ impl ResultFile {
             writer: self.group(&schema.group()?)?,
             has_controls: !schema.controls.is_empty(),
             has_disturbances: !schema.disturbances.is_empty(),
+            values_only: schema.values_only,
         })
     }
 }
@@ -47,17 +49,22 @@ impl TrajectoryWriter {
     /// nothing is written then. [`OutputError::File`] and [`OutputError::Hdf5`].
     pub fn append(&mut self, block: &TrajectoryBlock) -> Result<(), OutputError> {
         let mut values = vec![
-            ("t", (&block.t).into()),
             ("x", (&block.x).into()),
-            ("p", (&block.p).into()),
             ("V", (&block.v).into()),
-            ("H", (&block.h).into()),
             ("status", (&block.status).into()),
             ("sheet", (&block.sheet).into()),
+        ];
+        if self.values_only {
+            return self.writer.append(block.count, &values);
+        }
+        values.extend::<[(&str, Values<'_>); 6]>([
+            ("t", (&block.t).into()),
+            ("p", (&block.p).into()),
+            ("H", (&block.h).into()),
             ("steps", (&block.steps).into()),
             ("rejected", (&block.rejected).into()),
             ("hamiltonian_drift", (&block.hamiltonian_drift).into()),
-        ];
+        ]);
         if self.has_controls || !block.u.is_empty() {
             values.push(("u", (&block.u).into()));
         }
@@ -78,6 +85,15 @@ impl TrajectorySchema {
             .compression(self.compression)
             .length("trajectory", self.expected_trajectories)
             .length("sample", self.samples);
+        if self.values_only {
+            table = table.partial();
+            table.attribute("stored", "values");
+            table.put("x", Data::LaterInSingle);
+            table.put("V", Data::LaterInSingle);
+            table.put_codes("status", self.status_flags.iter().cloned(), Data::Later);
+            table.put("sheet", Data::Later);
+            return table.declare();
+        }
         for name in ["t", "x", "p"] {
             table.put(name, Data::Later);
         }

@@ -27,7 +27,7 @@ pub enum RunError {
     Map(#[from] StoredMapError),
     #[error("{path} asks for no law: it has no [feedback] (or take one from another scene with --scene)", path = path.display())]
     NoFeedback { path: PathBuf },
-    #[error("{path} holds neither trajectories, solved states nor a map to an error to fit a law to", path = path.display())]
+    #[error("{path} holds neither trajectories with costates, solved states nor a map to an error to fit a law to", path = path.display())]
     NoData { path: PathBuf },
     #[error("law {laws} is not done, and {path} has laws already", path = path.display())]
     LawsLeftOut { laws: String, path: PathBuf },

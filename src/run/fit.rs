@@ -10,6 +10,7 @@ use crate::model::{Feedback, Model};
 use crate::result::{FEEDBACK_GROUP, Stored, StoredMapError};
 use crate::schema;
 use crate::session::{FitData, Progress, fit_laws, same_problem};
+use crate::trajectories::SweptTrajectories;
 use std::path::{Path, PathBuf};
 
 /// Laws of a scene as fitted, with the files written of each.
@@ -151,7 +152,8 @@ pub(super) fn fit_into(
 ) -> Result<Fitted, RunError> {
     let own = &stored.scene.model;
     let sizes = (own.states.len(), own.controls.len());
-    let (swept, solved) = (stored.trajectories()?, stored.points()?);
+    let swept = stored.trajectories()?.filter(SweptTrajectories::is_full);
+    let solved = stored.points()?;
     let samples = Samples::new(sizes, swept.as_ref(), solved.as_ref());
     let mapped = is_mapped(stored);
     if samples.is_empty() && !mapped {

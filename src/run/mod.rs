@@ -41,7 +41,7 @@ use crate::model::Model;
 use crate::result::{RunRecord, Stored, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::RunSummary;
-use crate::session::{Estimates, Finished, Outcome, Session, Wanted};
+use crate::session::{Estimates, Finished, Kept, Outcome, Session, Wanted};
 use crate::sweep::Plan;
 use crate::sweep::accuracy::Spread;
 use std::path::{Path, PathBuf};
@@ -127,8 +127,12 @@ impl Session<'_> {
         let mut output = Output::begin(path.as_ref(), wanted.laws && laws::wanted(model))?;
 
         let schema = trajectory_schema(model, pass.plan());
+        let swept = TrajectorySchema {
+            values_only: wanted.kept == Kept::Values,
+            ..schema.clone()
+        };
         let mut writer = (pass.stores_sweep())
-            .then(|| output.file.trajectories(&schema))
+            .then(|| output.file.trajectories(&swept))
             .transpose()?;
         let outcome = pass.perform::<RunError>(&mut |block| match &mut writer {
             Some(writer) => Ok(writer.append(block)?),

@@ -62,7 +62,10 @@ pub static TRAJECTORIES: Group = Group {
             "largest deviation of the Hamiltonian from its invariant value",
         ),
     ],
-    attributes: &[],
+    attributes: &[(
+        "stored",
+        "`values` where the run stored values alone (`--values-only`): `x` and `V`, both in f32, `status` and `sheet`; absent where everything is stored",
+    )],
 };
 const SAMPLES: &[&str] = &["trajectory", "sample"];
 

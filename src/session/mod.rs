@@ -19,7 +19,7 @@ pub use least::LeastOptions;
 pub use loops::{LoopOptions, Sources, same_problem};
 pub use pass::{Outcome, Pass, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
-pub use wanted::{Listed, States, Wanted};
+pub use wanted::{Kept, Listed, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};
 use crate::backend::cpu::Cpu;

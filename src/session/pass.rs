@@ -3,7 +3,7 @@
 
 use super::estimates::Estimates;
 use super::progress::{Progress, Step};
-use super::wanted::{Targets, Wanted};
+use super::wanted::{Kept, Targets, Wanted};
 use super::{Session, SessionError};
 use crate::backend::{Backend, BackendError, Deadline, Trajectories};
 use crate::dynamic_programming::{self, Device, Options, extent};
@@ -24,7 +24,7 @@ pub struct Pass<'s> {
     targets: Option<Targets>,
     aim: Option<&'s MapAim>,
     stored: bool,
-    no_trajectories: bool,
+    kept: Kept,
     study: bool,
     grid_guesses: bool,
 }
@@ -112,7 +112,7 @@ impl Session<'_> {
             targets,
             aim,
             stored,
-            no_trajectories: wanted.no_trajectories,
+            kept: wanted.kept,
             study: wanted.study && model.study.is_some(),
             grid_guesses: wanted.grid_guesses,
         })
@@ -127,7 +127,7 @@ impl Pass<'_> {
 
     /// Whether the sweep is a result, with its trajectories.
     pub fn stores_sweep(&self) -> bool {
-        self.stored && !self.no_trajectories
+        self.stored && self.kept != Kept::Nothing
     }
 
     /// Computes everything. Blocks of swept trajectories go to `write` as they finish, if the sweep

@@ -15,8 +15,8 @@ use crate::value::{Grid, Request};
 pub struct Wanted {
     /// The sweep is a result, where the scene has `[shoot_out]`. Else it gives first guesses only.
     pub sweep: bool,
-    /// The sweep is told of, but its trajectories are not kept.
-    pub no_trajectories: bool,
+    /// What is kept of the sweep's trajectories in a result file.
+    pub kept: Kept,
     /// States that are solved for.
     pub states: States,
     /// The map to an error, where the scene has `[map] error`.
@@ -29,6 +29,18 @@ pub struct Wanted {
     pub laws: bool,
     /// First guesses also come from V on a grid (slower; up to 4 states, no games).
     pub grid_guesses: bool,
+}
+
+/// What is kept of swept trajectories.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kept {
+    /// Everything.
+    #[default]
+    All,
+    /// x, V, status and sheet, x and V in f32.
+    Values,
+    /// Nothing: the sweep is told of.
+    Nothing,
 }
 
 /// Which states are solved for.
@@ -63,7 +75,7 @@ impl Wanted {
     pub fn all() -> Self {
         Self {
             sweep: true,
-            no_trajectories: false,
+            kept: Kept::All,
             states: States::OfScene { needed: false },
             map: true,
             study: true,

@@ -15,10 +15,10 @@ use super::path::Path;
 /// steps.
 const LEAST_DAMPING: f64 = 0.1;
 /// Longest step in units of the path's size.
-const MOST_STEP: f64 = 1.0;
+pub(super) const MOST_STEP: f64 = 1.0;
 /// Relative size of the last correction of a solution that is only a point on the way, and of the
 /// one after which segments are integrated to the full tolerance.
-const ROUGH: f64 = 1e-4;
+pub(super) const ROUGH: f64 = 1e-4;
 /// Relative size of a correction from which on the error of rough segments may matter.
 const NEAR: f64 = 1e-2;
 /// Contraction with which an old matrix is kept.
@@ -28,7 +28,7 @@ const MOST_ROUNDS: u32 = 40;
 /// The same of a step along a line: a shorter one costs less than to wait.
 const MOST_ROUNDS_LINE: u32 = 12;
 /// Segments whose propagator has larger entries are split: a digit is lost for each power of ten.
-const MOST_GROWTH: f64 = 1e3;
+pub(super) const MOST_GROWTH: f64 = 1e3;
 /// Segments of a path above which none is split any more: such a path is mostly no solution, and
 /// takes most of the time.
 const MOST_SEGMENTS: usize = 1000;

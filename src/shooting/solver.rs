@@ -5,7 +5,7 @@ use super::elimination::Factors;
 use super::newton::{Elimination, Failure, Goal, Integrated, Job, Linear, Scheme, Stage};
 use super::path::Path;
 use crate::backend::{
-    Backend, BackendError, Deadline, Eliminator, Kernel, Run, Status, Trajectories,
+    Backend, BackendError, Deadline, Eliminator, Kernel, Newton, Run, Status, Trajectories,
 };
 use crate::model::{Method, Precision};
 use rayon::prelude::*;
@@ -55,6 +55,8 @@ pub struct Solver {
     varied_runs: [Run; 2],
     /// Eliminates on the device, where the backend does that.
     eliminator: Option<Box<dyn Eliminator>>,
+    /// Iterates on the device as a whole, where the backend does that.
+    newton: Option<Box<dyn Newton>>,
     pub work: Work,
     /// When it gives up: for those who can do without what they asked for.
     pub deadline: Deadline,
@@ -79,12 +81,15 @@ impl Solver {
     ) -> Result<Self, BackendError> {
         let method = Method::Dop853;
         let equations = &scheme.equations;
+        let rtols = [rtol.max(ROUGH_RTOL), rtol];
+        let varied = equations.varied_spec(method, precision);
+        let varied_runs = rtols.map(|r| equations.varied_run(r, SEGMENT_STEPS));
         Ok(Self {
             plain: backend.compile(&equations.plain_spec(method, precision))?,
-            varied: backend.compile(&equations.varied_spec(method, precision))?,
-            plain_runs: [rtol.max(ROUGH_RTOL), rtol].map(|r| equations.plain_run(r, SEGMENT_STEPS)),
-            varied_runs: [rtol.max(ROUGH_RTOL), rtol]
-                .map(|r| equations.varied_run(r, SEGMENT_STEPS)),
+            varied: backend.compile(&varied)?,
+            plain_runs: rtols.map(|r| equations.plain_run(r, SEGMENT_STEPS)),
+            newton: device::newton(backend, &scheme, varied, varied_runs.clone())?,
+            varied_runs,
             eliminator: backend.eliminator(equations.states, precision)?,
             scheme,
             work: Work::default(),
@@ -108,6 +113,7 @@ impl Solver {
             plain_runs: self.plain_runs.clone(),
             varied_runs: self.varied_runs.clone(),
             eliminator: None,
+            newton: None,
             work: Work::default(),
             deadline: self.deadline,
             draft: None,
@@ -174,17 +180,40 @@ impl Solver {
         let mut drafts: Vec<Job> = (open.iter())
             .map(|k| Job::new(jobs[*k].path.clone(), jobs[*k].goal.clone()))
             .collect();
-        self.solve_here(&mut drafts)?;
-        let iterations = (open.iter().copied())
-            .zip(drafts.iter().map(|d| d.iterations))
-            .collect();
-        for (k, draft) in open.into_iter().zip(drafts) {
-            if draft.solved().is_some() {
+        let told: Vec<(bool, u32)> = if self.newton.is_some() {
+            // What needs damping is left to the solver behind: it waits for no device.
+            self.refine(&mut drafts)?
+        } else {
+            self.solve_here(&mut drafts)?;
+            let told = drafts.iter().map(|d| (d.solved().is_some(), d.iterations));
+            told.collect()
+        };
+        let mut iterations = Vec::with_capacity(open.len());
+        for ((k, draft), (is_solved, took)) in open.into_iter().zip(drafts).zip(told) {
+            iterations.push((k, took));
+            if is_solved {
                 jobs[k].path = draft.path;
                 jobs[k].factors = Default::default();
             }
         }
         Ok(iterations)
+    }
+
+    /// Newton's method on the device alone, where it does that, without damping: of each job whether
+    /// its path meets the tolerance now, and how many iterations it took. Jobs stay without an outcome,
+    /// and those that are not solved as they were.
+    ///
+    /// # Errors
+    /// Device failures only.
+    pub fn refine(&mut self, jobs: &mut [Job]) -> Result<Vec<(bool, u32)>, BackendError> {
+        let Some(newton) = &mut self.newton else {
+            return Ok(vec![(false, 0); jobs.len()]);
+        };
+        let clock = std::time::Instant::now();
+        let limits = (BATCH_BYTES, self.deadline);
+        let refined = device::refine(newton.as_mut(), &self.scheme, jobs, limits)?;
+        self.work.seconds_integrating += clock.elapsed().as_secs_f64();
+        Ok(refined)
     }
 
     fn solve_here(&mut self, jobs: &mut [Job]) -> Result<(), BackendError> {

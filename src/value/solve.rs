@@ -5,7 +5,9 @@ use super::cover::Cover;
 use super::direct::Direct;
 use super::equal_cost::BoundaryPoint;
 use super::fold::Fold;
-use super::survey::{BEYOND, GridGuesses, Mesh, Miss, PointStatus, Progress, Support, Survey, Wanted};
+use super::survey::{
+    BEYOND, GridGuesses, Mesh, Miss, PointStatus, Progress, Support, Survey, Wanted,
+};
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};

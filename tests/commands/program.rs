@@ -286,13 +286,57 @@ fn trajectories_may_be_left_out() {
         ];
         (stored, kept.map(|name| told[name].take()))
     };
-    for command in ["shoot-out", "run"] {
+    for command in ["run", "shoot-out"] {
         let (all, with) = told(command, "with.h5", &[]);
         let (none, without) = told(command, "without.h5", &["--no-trajectories"]);
         assert_eq!((all, none), (true.into(), false.into()));
         assert_eq!(with, without);
         assert!(with[0].as_u64().is_some_and(|count| count > 50));
+
+        let (values, alone) = told(command, "values.h5", &["--values-only"]);
+        assert_eq!(values, serde_json::Value::Bool(true));
+        assert_eq!(with, alone);
     }
+
+    // The same numbers, rounded, in less than a quarter of the bytes of a sample.
+    let read = |out: &str, name: &str| {
+        let file = rust_hdf5::H5File::open(here.join(out)).expect("a result file");
+        let dataset = file.dataset(&format!("trajectories/{name}")).expect(name);
+        (
+            dataset.element_size(),
+            dataset.read_numeric_as::<f64>().expect(name),
+        )
+    };
+    for name in ["x", "V"] {
+        let ((8, all), (4, rounded)) = (read("with.h5", name), read("values.h5", name)) else {
+            panic!("{name}: not in f64 and f32");
+        };
+        assert!(all.iter().any(|v| v.is_finite()));
+        let same = |(a, b): (&f64, &f64)| f64::from(*a as f32).to_bits() == b.to_bits();
+        assert!(all.iter().zip(&rounded).all(same), "{name}");
+        assert_eq!(all.len(), rounded.len());
+    }
+    let file = rust_hdf5::H5File::open(here.join("values.h5")).expect("a result file");
+    for name in ["t", "p", "u", "H", "steps"] {
+        assert!(
+            file.dataset(&format!("trajectories/{name}")).is_err(),
+            "{name}"
+        );
+    }
+
+    // What needs costates says so; a page is made of the rest.
+    let fitted = costate(&here, &["value", "values.h5", "--grid", "x=0:1:3"]);
+    let said = text(&fitted.stderr);
+    assert_eq!(fitted.status.code(), Some(1), "{said}");
+    assert!(
+        said.contains("neither swept trajectories with costates"),
+        "{said}"
+    );
+    let page = costate(&here, &["report", "values.h5", "--out", "page.html"]);
+    assert_eq!(page.status.code(), Some(0), "{}", text(&page.stderr));
+    assert!(text(&std::fs::read(here.join("page.html")).expect("a page")).contains("phase"));
+    let both = ["shoot-out", &scene, "--values-only", "--no-trajectories"];
+    assert_eq!(costate(&here, &both).status.code(), Some(2));
 }
 
 #[test]

@@ -72,7 +72,8 @@ fn tolerances(precision: Precision) -> (f64, f64) {
     }
 }
 
-fn solve(problems: &Problems, backend: &dyn Backend, precision: Precision) -> Vec<Job> {
+/// A solver for the problems, and a job for each.
+fn begin(problems: &Problems, backend: &dyn Backend, precision: Precision) -> (Solver, Vec<Job>) {
     let plan = &problems.plan;
     let (rtol, tolerance) = tolerances(precision);
     let value = plan.shoot_out.value_max.unwrap_or(1.0);
@@ -83,11 +84,16 @@ fn solve(problems: &Problems, backend: &dyn Backend, precision: Precision) -> Ve
         tolerance,
         duration: problems.duration,
     };
-    let clock = std::time::Instant::now();
-    let mut solver = Solver::new(backend, precision, scheme, rtol).unwrap();
-    let mut jobs: Vec<Job> = (problems.guesses.iter())
+    let solver = Solver::new(backend, precision, scheme, rtol).unwrap();
+    let jobs = (problems.guesses.iter())
         .map(|(path, target)| Job::new(path.clone(), Goal::State(target.clone())))
         .collect();
+    (solver, jobs)
+}
+
+fn solve(problems: &Problems, backend: &dyn Backend, precision: Precision) -> Vec<Job> {
+    let (mut solver, mut jobs) = begin(problems, backend, precision);
+    let clock = std::time::Instant::now();
     solver.solve(&mut jobs).unwrap();
     println!(
         "{} {precision:?}: {:.2} s, {:?}",
@@ -156,4 +162,85 @@ fn pendulum_is_the_same_on_both_backends() {
 #[test]
 fn compressor_is_the_same_on_both_backends() {
     compare("moore_greitzer", 20);
+}
+
+/// Whole iterations on the device lead to the reference's solutions, wherever they lead.
+fn iterate(scene: &str, count: usize) {
+    let problems = problems(scene, count);
+    let reference = solve(&problems, &Cpu::new(), Precision::F64);
+    let gpu = any_gpu();
+    for precision in [Precision::F64, Precision::F32] {
+        let (mut solver, mut jobs) = begin(&problems, &gpu, precision);
+        // The first time pipelines are made.
+        solver.refine(&mut jobs[..1].to_vec()).unwrap();
+        let clock = std::time::Instant::now();
+        let told = solver.refine(&mut jobs).unwrap();
+        let seconds = clock.elapsed().as_secs_f64();
+        // The same led by the host, step by step.
+        let (mut led, mut steps) = begin(&problems, &gpu, precision);
+        led.solve(&mut steps[..1]).unwrap();
+        let clock = std::time::Instant::now();
+        led.solve(&mut steps[1..]).unwrap();
+        let by_steps = clock.elapsed().as_secs_f64();
+        let allowed = 100.0 * tolerances(precision).1;
+        let (mut solved, mut worst, mut iterations) = (0, 0.0f64, 0);
+        for ((a, b), (is_solved, took)) in reference.iter().zip(&jobs).zip(&told) {
+            assert!(*took <= 20 && b.outcome.is_none());
+            if a.solved().is_none() || !is_solved {
+                continue;
+            }
+            solved += 1;
+            iterations += took;
+            let size = (a.path.adjoint().iter()).fold(0.0f64, |most, p| most.max(p.abs()));
+            for (p, q) in a.path.adjoint().iter().zip(b.path.adjoint()) {
+                worst = worst.max((p - q).abs() / size);
+            }
+        }
+        println!(
+            "{scene} {precision:?}: {solved} of {count} in {iterations} iterations, {seconds:.2} s, p {worst:.1e}; led by the host {} in {} rounds, {by_steps:.2} s",
+            steps.iter().filter(|job| job.solved().is_some()).count(),
+            led.work.rounds,
+        );
+        assert!(
+            solved * 10 >= count * 8,
+            "{scene} {precision:?}: {solved} of {count}"
+        );
+        assert!(worst <= allowed, "{scene} {precision:?}: p {worst:e}");
+        // The solutions are the guesses' own: a step of the host's changes them by the tolerance.
+        let mut again: Vec<Job> = (jobs.iter().zip(&told))
+            .filter(|(_, (is_solved, _))| *is_solved)
+            .map(|(job, _)| Job::new(job.path.clone(), job.goal.clone()))
+            .collect();
+        let (mut host, _) = begin(&problems, &Cpu::new(), Precision::F64);
+        host.solve(&mut again).unwrap();
+        assert!(again.iter().all(|job| job.solved().is_some()));
+    }
+}
+
+#[test]
+fn the_device_iterates_by_itself() {
+    iterate("pendulum", 400);
+    iterate("moore_greitzer", 100);
+}
+
+/// What cannot be solved without damping, or is too long for a dispatch, is given back as it came.
+#[test]
+fn what_the_device_cannot_solve_stays() {
+    let problems = problems("pendulum", 4);
+    let (mut solver, mut jobs) = begin(&problems, &any_gpu(), Precision::F64);
+    // Far beyond the region; not a number; of more nodes than an invocation takes.
+    jobs[0].goal = Goal::State(vec![1e3, -1e3]);
+    jobs[1].path.nodes[0] = f64::NAN;
+    let last = jobs[2].path.last().to_vec();
+    for _ in 0..9000 {
+        jobs[2].path.push(0.01, &last);
+    }
+    let before: Vec<Path> = jobs.iter().map(|job| job.path.clone()).collect();
+    let told = solver.refine(&mut jobs).unwrap();
+    for k in 0..3 {
+        assert!(!told[k].0, "{k}");
+        let same = |(a, b): (&f64, &f64)| a.to_bits() == b.to_bits();
+        assert!((jobs[k].path.nodes.iter().zip(&before[k].nodes)).all(same));
+    }
+    assert!(told[3].0);
 }

@@ -322,6 +322,19 @@ fn bumps_narrower_than_the_cells() {
     }
 }
 
+/// Swinging up with weak torques among bumps, along trajectories that part too fast for the search: it
+/// finds nothing over the state, nor do greedy paths of a coarse grid lead anywhere (it was given as not
+/// reached; V by collocation is 29.5137, and the control flown costs 1.3e-7 more). Its bound is that of a cost that is nowhere
+/// negative.
+#[test]
+fn a_state_that_a_finer_grid_leads_to() {
+    let model = tried("weak_pendulum", &[]);
+    let answers = solved(&model, &[-3.0, -0.675]);
+    assert_value(&answers, 0, 29.513718536, REFERENCE);
+    let target = answers.targets.of_given[0];
+    assert_eq!(answers.support[target].covered_to, 0.0);
+}
+
 /// Marching alone leads to one way round an obstacle: V = 3.316, 2.643 and 1.962. The cheaper ways
 /// are found along flights. Each state by itself: company does not help.
 #[test]

@@ -38,9 +38,16 @@ impl<'s> Flow<'s> {
     }
 
     /// The state at each sample of a trajectory and at some times between samples (cubic Hermite
-    /// interpolation), with the number of the sample before and the time.
+    /// interpolation), with the number of the sample before and the time. Of trajectories that are
+    /// values alone the states at samples, without times.
     pub fn path(&mut self, t: &SweptTrajectories, k: usize) -> Vec<(usize, f64, Vec<f64>)> {
         let n = self.hamiltonian.x.len();
+        if !t.is_full() {
+            return (k * t.samples..(k + 1) * t.samples)
+                .filter(|s| t.v[*s].is_finite())
+                .map(|s| (s, f64::NAN, t.x[s * n..(s + 1) * n].to_vec()))
+                .collect();
+        }
         let mut path: Vec<(usize, f64, Vec<f64>)> = Vec::new();
         let mut before: Option<(usize, Vec<f64>)> = None;
         for s in k * t.samples..(k + 1) * t.samples {

@@ -19,28 +19,35 @@ const WORK: usize = 32768;
 
 /// Sizes and places of things in the buffers, in reals.
 #[derive(Clone, Copy, Debug)]
-struct Layout {
+pub(super) struct Layout {
     n: usize,
     real: usize,
 }
 
 impl Layout {
+    pub(super) fn new(n: usize, precision: Precision) -> Self {
+        Self {
+            n,
+            real: precision.bytes(),
+        }
+    }
+
     /// Phi and the defect.
-    fn segment(self) -> usize {
+    pub(super) fn segment(self) -> usize {
         self.defect() + 2 * self.n
     }
-    fn defect(self) -> usize {
+    pub(super) fn defect(self) -> usize {
         4 * self.n * self.n
     }
     /// The end's residual, G, the s-part wanted.
-    fn condition(self) -> usize {
+    pub(super) fn condition(self) -> usize {
         self.wanted() + self.n
     }
-    fn wanted(self) -> usize {
+    pub(super) fn wanted(self) -> usize {
         self.n + self.n * self.n
     }
     /// W, L, what the rows must give, the step.
-    fn node(self) -> usize {
+    pub(super) fn node(self) -> usize {
         self.step() + 2 * self.n
     }
     fn lower(self) -> usize {
@@ -49,7 +56,7 @@ impl Layout {
     fn right(self) -> usize {
         3 * self.n * self.n
     }
-    fn step(self) -> usize {
+    pub(super) fn step(self) -> usize {
         self.right() + self.n
     }
 
@@ -68,7 +75,7 @@ impl Layout {
     }
 
     /// Bytes of the largest binding's share of a path.
-    fn share(self, segments: usize) -> usize {
+    pub(super) fn share(self, segments: usize) -> usize {
         let reals = (segments * self.segment())
             .max((segments + 1) * self.node())
             .max(self.condition());
@@ -149,10 +156,7 @@ impl GpuEliminator {
         n: usize,
         precision: Precision,
     ) -> Result<Option<Self>, BackendError> {
-        let sizes = Layout {
-            n,
-            real: precision.bytes(),
-        };
+        let sizes = Layout::new(n, precision);
         if n == 0 || sizes.nodes() == 0 {
             return Ok(None);
         }
@@ -181,6 +185,21 @@ impl GpuEliminator {
             forward,
             memory: None,
         }))
+    }
+
+    /// Buffers bound for the pipelines, in the order of their bindings.
+    pub fn bound(&self, buffers: [(&wgpu::Buffer, Option<usize>); BINDINGS]) -> wgpu::BindGroup {
+        bind(&self.device, &self.bindings, buffers)
+    }
+
+    /// The pipelines, in the order in which each is to be dispatched for [`Self::rounds`].
+    pub fn pipelines(&self) -> [&wgpu::ComputePipeline; 2] {
+        [&self.backward, &self.forward]
+    }
+
+    /// Dispatches of each pipeline for paths of at most so many segments.
+    pub fn rounds(&self, longest: u32) -> usize {
+        (longest as usize + 1).div_ceil(self.layout.nodes())
     }
 
     /// What the buffers of a part of a batch hold before.
@@ -252,13 +271,12 @@ impl GpuEliminator {
             .iter()
             .map(|content| Some(content.len().max(layout.real)));
         let bindings = bind(&device, &self.bindings, memory.buffers.iter().zip(sized));
-        let longest = lengths.iter().copied().max().unwrap_or(0) as usize;
-        let rounds = (longest + 1).div_ceil(layout.nodes());
+        let rounds = self.rounds(lengths.iter().copied().max().unwrap_or(0));
         let mut encoder = device.device.create_command_encoder(&Default::default());
         {
             let mut pass = encoder.begin_compute_pass(&Default::default());
             pass.set_bind_group(0, &bindings, &[]);
-            for pipeline in [&self.backward, &self.forward] {
+            for pipeline in self.pipelines() {
                 pass.set_pipeline(pipeline);
                 for _ in 0..rounds {
                     pass.dispatch_workgroups((lengths.len() as u32).div_ceil(WORKGROUP), 1, 1);

@@ -25,9 +25,9 @@ pub(super) const WORK: std::ops::RangeInclusive<f64> = 16.0..=16384.0;
 pub(super) const FIRST_WORK: u32 = 64;
 
 /// The two entry points of a module.
-struct Pipelines {
-    start: wgpu::ComputePipeline,
-    sweep: wgpu::ComputePipeline,
+pub(super) struct Pipelines {
+    pub start: wgpu::ComputePipeline,
+    pub sweep: wgpu::ComputePipeline,
 }
 
 /// Operations of a Taylor step, which stand one behind the other: shader compilers take long over
@@ -38,7 +38,7 @@ const RTOL: f64 = 1e-6;
 
 /// What kernels of a spec differ by: the degree of steps, which Taylor's method takes from the
 /// tolerance, and the variant.
-type Key = (usize, Variant);
+pub(super) type Key = (usize, Variant);
 
 pub(super) struct GpuKernel {
     device: Arc<Device>,
@@ -146,7 +146,7 @@ impl GpuKernel {
     }
 
     /// Makes the pipelines for a run where they are missing, and says which they are.
-    fn prepare(&mut self, run: &Run) -> Result<Key, BackendError> {
+    pub(super) fn prepare(&mut self, run: &Run) -> Result<Key, BackendError> {
         let (scheme, variant) = (self.spec.method.scheme(run.rtol), run.variant());
         let key = (scheme.degree(), variant);
         if self.pipelines.contains_key(&key) {
@@ -184,7 +184,7 @@ impl GpuKernel {
     ///
     /// # Errors
     /// Device failures.
-    fn allocate(&mut self, shape: Shape) -> Result<(), BackendError> {
+    pub(super) fn allocate(&mut self, shape: Shape) -> Result<(), BackendError> {
         if self.memory.as_ref().is_some_and(|m| m.holds(&shape)) {
             return Ok(());
         }
@@ -192,6 +192,11 @@ impl GpuKernel {
         self.memory = None;
         self.memory = Some(Memory::new(&self.device, &self.layout, shape));
         self.device.check()
+    }
+
+    /// Buffers and pipelines, where they have been made.
+    pub(super) fn made(&self, key: Key) -> Option<(&Memory, &Pipelines)> {
+        self.memory.as_ref().zip(self.pipelines.get(&key))
     }
 
     /// Integrates as many trajectories as fit the device's bindings: those of the result from

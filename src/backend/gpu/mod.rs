@@ -4,7 +4,8 @@
 //! `shaders/block.wgsl` (the integrator), `shaders/sweep.wgsl` (whole trajectories) or
 //! `shaders/legs.wgsl` (legs whose law a map in pieces gives) and generated text (constants, the
 //! model, the method's stages). `shaders/elimination.wgsl` eliminates the linear equations of
-//! multiple shooting, one invocation a path.
+//! multiple shooting, one invocation a path; `shaders/newton_segments.wgsl` and
+//! `shaders/newton_paths.wgsl` make whole iterations of Newton's method of both.
 
 pub(crate) mod adapter;
 mod clock;
@@ -12,6 +13,7 @@ mod elimination;
 pub(crate) mod emit;
 mod kernel;
 pub(crate) mod memory;
+mod newton;
 mod peak;
 mod recorded;
 mod relay;
@@ -24,7 +26,7 @@ pub(crate) mod text;
 pub use super::adapters::{AdapterInfo, Selection};
 pub(super) use adapter::adapters;
 
-use super::{Backend, BackendError, Eliminator, Kernel, Spec};
+use super::{Backend, BackendError, Eliminator, Kernel, Newton, NewtonSpec, Spec};
 use crate::model::{Method, Precision};
 use adapter::Device;
 use std::sync::Arc;
@@ -141,6 +143,12 @@ impl Backend for Gpu {
         self.require(precision)?;
         let made = elimination::GpuEliminator::new(Arc::clone(&self.device), states, precision)?;
         Ok(made.map(|e| -> Box<dyn Eliminator> { Box::new(e) }))
+    }
+
+    fn newton(&self, spec: &NewtonSpec) -> Result<Option<Box<dyn Newton>>, BackendError> {
+        self.require(spec.varied.precision)?;
+        let made = newton::GpuNewton::new(Arc::clone(&self.device), spec)?;
+        Ok(made.map(|n| -> Box<dyn Newton> { Box::new(n) }))
     }
 
     fn peak(&self, precision: Precision) -> Result<Option<f64>, BackendError> {

@@ -15,7 +15,7 @@ use costate::run::{Provenance, note_replaced, output_of, output_of_points, path_
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
-use costate::session::{Finished, Listed, Progress, Session, SessionError, States, Wanted};
+use costate::session::{Finished, Kept, Listed, Progress, Session, SessionError, States, Wanted};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -107,7 +107,11 @@ impl<'a> Parts<'a> {
             },
         };
         wanted.grid_guesses = args.grid_guesses;
-        wanted.no_trajectories = args.no_trajectories;
+        wanted.kept = match (args.no_trajectories, args.values_only) {
+            (true, _) => Kept::Nothing,
+            (_, true) => Kept::Values,
+            _ => Kept::All,
+        };
         if args.grid_guesses {
             dynamic_programming::refuse(model, "--grid-guesses").map_err(SessionError::from)?;
         }

@@ -93,8 +93,7 @@ fn flown(done: &Solved<'_>, answers: &Answers) -> Option<String> {
         );
         Some((number, (flown - value) / value.abs().max(least)))
     });
-    let (mut home, lost): (Vec<(usize, f64)>, Vec<_>) =
-        all.partition(|(_, more)| more.is_finite());
+    let (mut home, lost): (Vec<(usize, f64)>, Vec<_>) = all.partition(|(_, more)| more.is_finite());
     home.sort_by(|a, b| a.1.total_cmp(&b.1));
     let (loosest, most) = home.last().copied().unwrap_or((0, f64::NEG_INFINITY));
     // A bound that is far above V is no sign that V is wrong: the control was not followed well.

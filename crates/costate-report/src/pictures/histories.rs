@@ -20,7 +20,7 @@ const STARTS: usize = 3;
 const DASHES: [Dash; 3] = [Dash::Solid, Dash::Dashed, Dash::Dotted];
 
 pub fn picture(source: &Source<'_>) -> Made {
-    let Some(t) = source.trajectories()? else {
+    let Some(t) = source.trajectories()?.filter(|t| t.is_full()) else {
         return Ok(None);
     };
     let shown = far_apart(source.model, t, SHOWN);

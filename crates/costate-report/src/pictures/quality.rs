@@ -99,7 +99,7 @@ fn wrong(e: costate::low_level::result::StoredError) -> String {
 /// The drift of H relative to the largest running cost of some trajectories.
 fn along_trajectories(source: &Source<'_>) -> Result<Vec<f64>, String> {
     let (Some(t), Some(group)) = (
-        source.trajectories()?,
+        source.trajectories()?.filter(|t| t.is_full()),
         source.stored.group(&schema::TRAJECTORIES),
     ) else {
         return Ok(Vec::new());
