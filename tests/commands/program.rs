@@ -327,11 +327,12 @@ fn trajectories_may_be_left_out() {
     // What needs costates says so; a page is made of the rest.
     let fitted = costate(&here, &["value", "values.h5", "--grid", "x=0:1:3"]);
     let said = text(&fitted.stderr);
-    assert_eq!(fitted.status.code(), Some(1), "{said}");
+    assert_eq!(fitted.status.code(), Some(2), "{said}");
     assert!(
-        said.contains("neither swept trajectories with costates"),
+        said.contains("neither /trajectories with costates"),
         "{said}"
     );
+    assert!(said.contains("`--values-only`"), "{said}");
     let page = costate(&here, &["report", "values.h5", "--out", "page.html"]);
     assert_eq!(page.status.code(), Some(0), "{}", text(&page.stderr));
     assert!(text(&std::fs::read(here.join("page.html")).expect("a page")).contains("phase"));
