@@ -48,8 +48,8 @@ pub struct TrajectorySchema {
     pub expected_trajectories: Option<usize>,
     /// How the values are stored.
     pub compression: Compression,
-    /// Of trajectories x, V, status and sheet alone, x and V in f32.
-    pub values_only: bool,
+    /// Of trajectories x, V, status and sheet alone; then whether x and V are stored in f32.
+    pub values_only: Option<[bool; 2]>,
 }
 
 impl TrajectorySchema {

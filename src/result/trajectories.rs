@@ -29,7 +29,7 @@ impl ResultFile {
             writer: self.group(&schema.group()?)?,
             has_controls: !schema.controls.is_empty(),
             has_disturbances: !schema.disturbances.is_empty(),
-            values_only: schema.values_only,
+            values_only: schema.values_only.is_some(),
         })
     }
 }
@@ -85,11 +85,18 @@ impl TrajectorySchema {
             .compression(self.compression)
             .length("trajectory", self.expected_trajectories)
             .length("sample", self.samples);
-        if self.values_only {
+        if let Some(in_single) = self.values_only {
             table = table.partial();
             table.attribute("stored", "values");
-            table.put("x", Data::LaterInSingle);
-            table.put("V", Data::LaterInSingle);
+            for (name, in_single) in ["x", "V"].into_iter().zip(in_single) {
+                table.put(
+                    name,
+                    match in_single {
+                        true => Data::LaterInSingle,
+                        false => Data::Later,
+                    },
+                );
+            }
             table.put_codes("status", self.status_flags.iter().cloned(), Data::Later);
             table.put("sheet", Data::Later);
             return table.declare();

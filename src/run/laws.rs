@@ -123,6 +123,10 @@ impl Doing<'_> {
     /// What was begun and could not be done.
     fn failed(&mut self, what: &str, error: &dyn std::fmt::Display) {
         self.done.stopped = self.done.stopped || self.session.is_over();
+        // Users know the file by its own name.
+        let hidden = self.draft.hidden().display().to_string();
+        let own = self.draft.path().display().to_string();
+        let error = error.to_string().replace(&hidden, &own);
         self.session.progress().note(&format!("{what}: {error}"));
     }
 

@@ -128,7 +128,7 @@ impl Session<'_> {
 
         let schema = trajectory_schema(model, pass.plan());
         let swept = TrajectorySchema {
-            values_only: wanted.kept == Kept::Values,
+            values_only: (wanted.kept == Kept::Values).then(|| in_single(pass.plan())),
             ..schema.clone()
         };
         let mut writer = (pass.stores_sweep())
@@ -372,6 +372,21 @@ pub fn trajectory_schema(model: &Model, plan: &Plan) -> TrajectorySchema {
         status_flags: plan.status_flags(),
         ..TrajectorySchema::axes(model)
     }
+}
+
+/// Whether f32 resolves states to a small share of their region's widths, and V is within its range.
+fn in_single(plan: &Plan) -> [bool; 2] {
+    /// Rounding of a state in units of the region's width.
+    const MOST_ROUNDING: f64 = 1e-6;
+    /// Far enough from the ends of the range for what lies beyond or next to the scale of V.
+    const RANGE: std::ops::Range<f64> = 1e-20..1e30;
+    let state = |i: usize| {
+        let reference = plan.system.reference[i];
+        let [lo, hi] = plan.region[i].map(|s| (reference + s).abs());
+        lo.max(hi) * f64::from(f32::EPSILON) <= MOST_ROUNDING * plan.widths[i]
+    };
+    let states = (0..plan.system.states).all(state);
+    [states, RANGE.contains(&plan.value_scale)]
 }
 
 /// Where results go that nobody has named a file for: `out/SCENE` and an ending of the name.

@@ -64,7 +64,7 @@ pub static TRAJECTORIES: Group = Group {
     ],
     attributes: &[(
         "stored",
-        "`values` where the run stored values alone (`--values-only`): `x` and `V`, both in f32, `status` and `sheet`; absent where everything is stored",
+        "`values` where the run stored values alone (`--values-only`): `x` and `V` (in f32 where that resolves them), `status` and `sheet`; absent where everything is stored",
     )],
 };
 const SAMPLES: &[&str] = &["trajectory", "sample"];

@@ -37,7 +37,7 @@ pub enum Kept {
     /// Everything.
     #[default]
     All,
-    /// x, V, status and sheet, x and V in f32.
+    /// x, V, status and sheet, x and V in f32 where that resolves them.
     Values,
     /// Nothing: the sweep is told of.
     Nothing,

@@ -338,6 +338,36 @@ fn trajectories_may_be_left_out() {
     assert!(text(&std::fs::read(here.join("page.html")).expect("a page")).contains("phase"));
     let both = ["shoot-out", &scene, "--values-only", "--no-trajectories"];
     assert_eq!(costate(&here, &both).status.code(), Some(2));
+
+    // Where f32 would not resolve them they are stored in f64.
+    let far = r#"
+        states = { x = {} }
+        controls = { u = {} }
+        parameters = { c = 1, o = 0 }
+        dynamics = { x = "u" }
+        cost = { running = "0.5*c*((x - o)^2 + u^2)" }
+        equilibrium = { x = "o", u = 0 }
+        region = { x = ["o - 1", "o + 1"] }
+        shoot_out = { value_max = "0.4*c", spacing = 0.1, samples = 10 }
+    "#;
+    std::fs::write(here.join("far.toml"), far).unwrap();
+    for (set, bytes) in [("o=0", [4, 4]), ("o=1e6", [8, 4]), ("c=1e45", [4, 8])] {
+        let arguments = [
+            "shoot-out",
+            "far.toml",
+            "--values-only",
+            "--set",
+            set,
+            "--out",
+            "far.h5",
+        ];
+        let output = costate(&here, &arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let found = ["x", "V"].map(|name| read("far.h5", name));
+        assert_eq!(found.each_ref().map(|(size, _)| *size), bytes, "{set}");
+        let v = &found[1].1;
+        assert!(v.iter().any(|v| *v > 0.0) && v.iter().all(|v| !v.is_infinite()));
+    }
 }
 
 #[test]

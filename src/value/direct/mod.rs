@@ -44,6 +44,12 @@ const SHORT: f64 = 1.0 / 16.0;
 /// What costs more than this many times the least is not followed to its end.
 const DEAR: f64 = 3.0;
 
+/// Numbers of guesses from which on they hold their controls at first, within this share of the way to
+/// their bounds; and how far they may be carried, in widths.
+pub const CARRIED_FROM: u64 = 1 << 32;
+const CARRIED: f64 = 0.95;
+const FAR: f64 = 3.0;
+
 /// Trajectories of a scene, optimized directly.
 pub struct Direct<'a> {
     plan: &'a Plan,
@@ -139,7 +145,10 @@ impl<'a> Direct<'a> {
         let mut begun: Vec<(f64, Descent<'_>)> = (guesses.par_iter())
             .flat_map_iter(|k| copies.iter().map(move |from| (*k, from)))
             .filter_map(|(k, from)| {
-                let guess = self.guess(from, k);
+                let guess = match k.checked_sub(CARRIED_FROM) {
+                    Some(k) => self.carried(from, k)?,
+                    None => self.guess(from, k),
+                };
                 let mut descent = Descent::new(&self.rates, &self.problem, &guess)?;
                 descent.begin()?;
                 Some((descent.cost(), descent))
@@ -194,6 +203,44 @@ impl<'a> Direct<'a> {
             }
         }
         copies
+    }
+
+    /// States along a guess that holds its controls for a while before it decays: it goes where it is
+    /// carried.
+    fn carried(&self, s: &[f64], k: u64) -> Option<Vec<Vec<f64>>> {
+        let number = |j: u64| uniform(k, j);
+        let (count, step) = (self.problem.count, self.problem.step);
+        let held: Vec<f64> = (self
+            .problem
+            .bounds
+            .iter()
+            .zip(&self.problem.middle)
+            .zip(2u64..))
+        .map(|((bounds, middle), j)| {
+            let pick = (4.0 * number(j)) as usize;
+            let [lo, hi] = bounds.map(|b| if b.is_finite() { b } else { *middle });
+            let at = [0.0, 0.5, 1.0, number(100 + j)][pick.min(3)];
+            middle + CARRIED * (lo + at * (hi - lo) - middle)
+        })
+        .collect();
+        let time = self.slow * (0.1 + 1.5 * number(0));
+        let rate = (1.0 + 3.0 * number(1)) / self.slow;
+        let mut states = vec![s.to_vec()];
+        for i in 0..count {
+            let t = i as f64 * step;
+            let last = &states[i];
+            let next = if t < time {
+                self.rates.steps(last, &held, step)?.next
+            } else {
+                last.iter().map(|s| s * (-rate * step).exp()).collect()
+            };
+            let near = |(s, width): (&f64, &f64)| s.is_finite() && s.abs() < FAR * width;
+            if !next.iter().zip(&self.plan.widths).all(near) {
+                return None;
+            }
+            states.push(next);
+        }
+        Some(states)
     }
 
     /// States along a guess: ways to the equilibrium that decay, swing, or go by another state.

@@ -2,7 +2,8 @@
 //! known one is followed away from its target in several directions, around the folds that its
 //! sheet may have there, and back.
 
-use super::{MOST_SHEETS, Survey, times};
+use super::spread::Effort;
+use super::{MOST_SHEETS, Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
 use crate::numeric::random::{random, uniform};
 use crate::shooting::{Path, Solver};
@@ -35,6 +36,12 @@ const ABOUT: f64 = 1.25;
 const NEW: f64 = 1e-9;
 /// Targets that are flown to together.
 const TOGETHER: usize = 128;
+/// The same of a grid; so many in turn without anything cheaper are enough, and so many in all. A state
+/// is found cheaper by this share of its cost.
+const SIDE_BY_SIDE: usize = 8;
+const QUIET: usize = 64;
+const MOST_LOOKED: usize = 512;
+const CHEAPER: f64 = 1e-6;
 /// Shortest steps, as shares of the way, from a flown path.
 const FROM_FLIGHT: f64 = 1.0 / 16.0;
 
@@ -62,25 +69,84 @@ impl Survey<'_> {
             .filter(|t| !self.targets.gridded[*t])
             .collect();
         for part in listed.chunks(TOGETHER) {
-            let mut left = part.to_vec();
-            for round in 0..FLIGHT_ROUNDS {
-                if left.is_empty() {
-                    break;
-                }
-                solver.deadline.check()?;
-                let laws = self.various(round);
-                let laws: Vec<&dyn Law> = laws.iter().map(|law| law as &dyn Law).collect();
-                let before: Vec<(usize, f64)> = left.iter().map(|t| self.cheapest(*t)).collect();
-                let paths = self.fly(&mut pilot, &left, &laws)?;
-                self.grow(solver, paths)?;
-                let mut before = before.into_iter();
-                left.retain(|t| {
-                    let after = self.cheapest(*t);
-                    before.next().is_some_and(|before| {
-                        after.0 > before.0 || after.1 < times(1.0 - NEW, before.1)
-                    })
-                });
+            self.fly_variously(solver, &mut pilot, part)?;
+        }
+        Ok(())
+    }
+
+    /// The same to states of a grid, at random places, until so many in turn have nothing cheaper, or
+    /// the first ones nothing new; what is found is tried at the neighbours.
+    pub(super) fn fly_in_company(
+        &mut self,
+        solver: &mut Solver,
+        wanted: Wanted,
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        if self.plan.game || self.plan.system.terminal.is_none() {
+            return Ok(());
+        }
+        let mut order: Vec<usize> = (0..self.targets.len())
+            .filter(|t| self.targets.gridded[*t] && !self.is_refused(*t))
+            .collect();
+        let place = |t: &usize| uniform(*t as u64, 1);
+        order.sort_by(|a, b| place(a).total_cmp(&place(b)));
+        let mut pilot = Pilot::new(self.plan)?;
+        let (mut quiet, mut looked, mut is_plain) = (0, 0, true);
+        for together in order.chunks(SIDE_BY_SIDE) {
+            let is_done =
+                quiet >= QUIET || looked >= MOST_LOOKED || is_plain && looked >= SIDE_BY_SIDE;
+            let now: Vec<usize> = (together.iter().copied())
+                .filter(|t| !is_done || self.is_wanting(*t))
+                .collect();
+            if now.is_empty() {
+                continue;
             }
+            let before: Vec<(usize, f64)> = now.iter().map(|t| self.cheapest(*t)).collect();
+            self.fly_variously(solver, &mut pilot, &now)?;
+            looked += now.len();
+            let after = now.iter().map(|t| self.cheapest(*t));
+            let (mut is_new, mut is_cheaper) = (false, false);
+            for (before, after) in before.iter().zip(after) {
+                is_new |= after.0 > before.0;
+                is_cheaper |= after.1 < times(1.0 - CHEAPER, before.1);
+            }
+            is_plain &= !is_new && !is_cheaper;
+            if !is_cheaper {
+                quiet += now.len();
+                continue;
+            }
+            quiet = 0;
+            self.spread(solver, wanted, Effort::Neighbours, progress)?;
+            progress("from flights", self.solved(), self.targets.len());
+        }
+        Ok(())
+    }
+
+    /// Flights to some targets under various laws, in rounds, as long as one finds something new.
+    fn fly_variously(
+        &mut self,
+        solver: &mut Solver,
+        pilot: &mut Pilot,
+        targets: &[usize],
+    ) -> Result<(), BackendError> {
+        let mut left = targets.to_vec();
+        for round in 0..FLIGHT_ROUNDS {
+            if left.is_empty() {
+                break;
+            }
+            solver.deadline.check()?;
+            let laws = self.various(round);
+            let laws: Vec<&dyn Law> = laws.iter().map(|law| law as &dyn Law).collect();
+            let before: Vec<(usize, f64)> = left.iter().map(|t| self.cheapest(*t)).collect();
+            let paths = self.fly(pilot, &left, &laws)?;
+            self.grow(solver, paths)?;
+            let mut before = before.into_iter();
+            left.retain(|t| {
+                let after = self.cheapest(*t);
+                before.next().is_some_and(|before| {
+                    after.0 > before.0 || after.1 < times(1.0 - NEW, before.1)
+                })
+            });
         }
         Ok(())
     }

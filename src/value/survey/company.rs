@@ -7,15 +7,16 @@ use super::{Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
 use crate::numeric::random::uniform;
 use crate::shooting::Solver;
-use crate::value::direct::{Optimized, Round};
+use crate::value::direct::{CARRIED_FROM, Optimized, Round};
 use crate::value::extremal::is_elsewhere;
 
 /// States that are looked at together.
 const TOGETHER: usize = 8;
-/// Guesses for a state: the first ones are the same for all, the others differ from one state to
-/// the next, since what is found at one is tried at its neighbours.
+/// Guesses for a state: the first ones are the same for all, the others, some of which hold their
+/// controls at first, differ from one state to the next, since what is found at one is tried at its neighbours.
 const FIRST: u64 = 2;
-const FURTHER: u64 = 10;
+const FURTHER: u64 = 6;
+const CARRIED: u64 = 4;
 const TURNS: u64 = 8;
 /// Of as many states in turn, at random places, none has to be found cheaper for the others to be
 /// left.
@@ -66,7 +67,7 @@ impl Survey<'_> {
             let before: Vec<f64> = now.iter().map(|t| self.least_value(*t)).collect();
             let mut found = Vec::new();
             for (&target, round) in now.iter().zip(rounds) {
-                self.starts[target] += (FIRST + FURTHER) as u32;
+                self.starts[target] += (FIRST + FURTHER + CARRIED) as u32;
                 found.extend(self.unknown(target, round.found));
             }
             self.solve_from(solver, &direct, found)?;
@@ -90,7 +91,7 @@ impl Survey<'_> {
     }
 
     /// Whether a state has no solution, and is of interest however much it costs.
-    fn is_wanting(&self, target: usize) -> bool {
+    pub(super) fn is_wanting(&self, target: usize) -> bool {
         self.is_open(target) && self.targets.limits[target] == f64::INFINITY
     }
 
@@ -100,9 +101,10 @@ impl Survey<'_> {
             .map(|(k, target)| {
                 let turn = (turn + k as u64) % TURNS;
                 let further = (0..FURTHER).map(|g| FIRST + turn * FURTHER + g);
+                let carried = (0..CARRIED).map(|g| CARRIED_FROM + turn * CARRIED + g);
                 Asked {
                     target: *target,
-                    guesses: (0..FIRST).chain(further).collect(),
+                    guesses: (0..FIRST).chain(further).chain(carried).collect(),
                     most: self.least_value(*target).min(self.targets.limits[*target]),
                 }
             })

@@ -56,6 +56,23 @@ impl Survey<'_> {
         Ok(())
     }
 
+    /// The greedy paths of a finer grid from targets of a list at which nothing shows the least, and whose
+    /// own answer could not be flown along; whether that leads to anything cheaper.
+    pub(super) fn try_lost(
+        &mut self,
+        solver: &mut Solver,
+        make: &mut dyn FnMut(Mesh) -> Option<GridValue>,
+        progress: Progress<'_>,
+    ) -> Result<bool, BackendError> {
+        let is_lost = |t: &usize| self.flown[*t] == Some(f64::INFINITY) && !self.is_covered(*t);
+        let lost: Vec<usize> = (0..self.targets.len()).filter(is_lost).collect();
+        let before: Vec<f64> = lost.iter().map(|t| self.least_value(*t)).collect();
+        self.try_mesh(solver, make, Mesh::Usual, lost.clone())?;
+        progress("from V on a finer grid", self.solved(), self.targets.len());
+        let is_cheaper = |(t, before): (&usize, f64)| self.least_value(*t) < before;
+        Ok(lost.iter().zip(before).any(is_cheaper))
+    }
+
     /// The greedy paths from some targets on a grid that is made for them; those among them that
     /// have no solution, and by the grid a V that is of interest.
     fn try_mesh(

@@ -236,7 +236,7 @@ impl<'a> Survey<'a> {
         archive: &Archive,
         mut cover: Option<&mut Cover<'_>>,
         wanted: Wanted,
-        second: GridGuesses<'_>,
+        mut second: GridGuesses<'_>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let index = self.begin(solver, archive, cover.as_deref())?;
@@ -252,18 +252,24 @@ impl<'a> Survey<'a> {
             progress,
         )?;
         self.search_singly(solver, archive, cover, wanted, progress)?;
-        match second {
+        match &mut second {
             GridGuesses::Given(grid) => self.try_grid(solver, grid, progress)?,
             GridGuesses::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         self.search_in_company(solver, wanted, progress)?;
+        self.fly_in_company(solver, wanted, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
         // Nothing behind a fold counts in a game.
         if wanted.sheets && !self.plan.game {
             self.around_folds(solver, wanted, progress)?;
         }
         self.check_by_flights(solver, progress)?;
+        if let GridGuesses::OnDemand(make) = &mut second
+            && self.try_lost(solver, make, progress)?
+        {
+            self.check_by_flights(solver, progress)?;
+        }
         self.label();
         self.keep_bounds_positive();
         Ok(())

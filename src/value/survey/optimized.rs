@@ -3,7 +3,7 @@
 use super::{Progress, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{End, Solver};
-use crate::value::direct::{Direct, Optimized, Round};
+use crate::value::direct::{CARRIED_FROM, Direct, Optimized, Round};
 use rayon::prelude::*;
 
 /// Guesses that are optimized in a round, and rounds at most.
@@ -31,6 +31,10 @@ const TRIED: usize = 4;
 pub(super) const OFF: f64 = 2e-3;
 /// Shortest steps, as shares of the way.
 const FROM_OPTIMIZED: f64 = 1.0 / 16.0;
+
+/// Rounds in turn without anything cheaper, by this share, that end the search from carried guesses.
+const QUIET_ROUNDS: u64 = 2;
+const CHEAPER: f64 = 1e-6;
 
 /// Targets that are looked at together: each holds what was found for it.
 const TOGETHER: usize = 64;
@@ -105,7 +109,58 @@ impl Survey<'_> {
             let rivals = |cost: &f64| !same(*cost, least) && *cost < super::times(RIVAL, least);
             !self.is_confirmed(*t, &costs[*t], times) || costs[*t].iter().any(rivals)
         };
-        Ok(targets.iter().copied().filter(is_doubtful).collect())
+        let doubtful: Vec<usize> = targets.iter().copied().filter(is_doubtful).collect();
+        self.try_carried(solver, direct, &doubtful, progress)?;
+        Ok(doubtful)
+    }
+
+    /// The same from guesses that hold their controls at first, in rounds until some in turn lead to
+    /// nothing cheaper.
+    fn try_carried(
+        &mut self,
+        solver: &mut Solver,
+        direct: &Direct<'_>,
+        targets: &[usize],
+        progress: Progress<'_>,
+    ) -> Result<(), BackendError> {
+        let mut left: Vec<(usize, u64)> = targets.iter().map(|t| (*t, 0)).collect();
+        for round in 0..ROUNDS {
+            let first = CARRIED_FROM + round * GUESSES;
+            for together in left.chunks_mut(TOGETHER) {
+                let asked = (together.iter())
+                    .map(|(target, _)| Asked {
+                        target: *target,
+                        guesses: (first..first + GUESSES).collect(),
+                        most: self.least_value(*target),
+                    })
+                    .collect();
+                let rounds = self.rounds(&solver.scheme.end, direct, asked);
+                solver.deadline.check()?;
+                let before: Vec<f64> = (together.iter())
+                    .map(|(t, _)| self.least_value(*t))
+                    .collect();
+                let mut found = Vec::new();
+                for ((target, _), round) in together.iter().zip(rounds) {
+                    self.starts[*target] += GUESSES as u32;
+                    found.extend(self.promising(*target, round.found));
+                }
+                self.solve_from(solver, direct, found)?;
+                for ((target, quiet), before) in together.iter_mut().zip(before) {
+                    let is_cheaper = self.least_value(*target) < times(1.0 - CHEAPER, before);
+                    *quiet = if is_cheaper { 0 } else { *quiet + 1 };
+                }
+            }
+            progress(
+                "from carried trajectories",
+                self.solved(),
+                self.targets.len(),
+            );
+            left.retain(|(_, quiet)| *quiet < QUIET_ROUNDS);
+            if left.is_empty() {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// What guesses lead to from some targets.

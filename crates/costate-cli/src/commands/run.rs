@@ -41,6 +41,15 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
     let wanted = parts.wanted(args, model)?;
     let terminal = Terminal::new(args.scene.print);
+    if !wanted.sweep && wanted.kept != Kept::All {
+        let option = match wanted.kept {
+            Kept::Values => "--values-only",
+            _ => "--no-trajectories",
+        };
+        terminal.note(&format!(
+            "{option} changes nothing here: swept trajectories are only stored by run and shoot-out"
+        ));
+    }
     let path = out_path(args, solve, &terminal);
     if let Some(solve) = solve
         && points::has_published(&solve.points, model)
