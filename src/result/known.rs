@@ -12,7 +12,7 @@ use crate::trajectories::SweptTrajectories;
 pub enum StoredMapError {
     #[error(transparent)]
     Stored(#[from] StoredError),
-    #[error("{path} holds nothing to interpolate V from: neither /trajectories with costates nor /points nor /map (`costate run` or `costate homotopy` of its scene makes some; `--values-only` leaves costates out)", path = path.display())]
+    #[error("{path} holds nothing to interpolate V from: neither /trajectories with costates nor /points nor /map (`costate run` or `costate homotopy` of its scene makes some; `--values-only` and `--no-trajectories` leave costates out)", path = path.display())]
     Empty { path: std::path::PathBuf },
     #[error("{path}: its run was ended before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end (what was solved is in /points and /map)", path = path.display())]
     Stopped { path: std::path::PathBuf },
@@ -34,19 +34,15 @@ impl Stored {
         let known = self.known()?;
         ValueMap::new(&self.scene.model, &self.scene.hamiltonian, known).map_err(
             |error| match error {
-                MapError::Empty if self.has_map() => StoredMapError::EmptyMap {
-                    path: self.path.clone(),
-                },
+                MapError::Empty if self.has_map() => StoredMapError::EmptyMap { path: self.name() },
                 MapError::Empty if self.is_stopped() => {
-                    let path = self.path.clone();
+                    let path = self.name();
                     match self.has(&schema::POINTS) || self.has(&schema::MAP) {
                         true => StoredMapError::Stopped { path },
                         false => StoredMapError::NothingDone { path },
                     }
                 }
-                MapError::Empty => StoredMapError::Empty {
-                    path: self.path.clone(),
-                },
+                MapError::Empty => StoredMapError::Empty { path: self.name() },
                 error => StoredMapError::Map(error),
             },
         )

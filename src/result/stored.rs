@@ -78,6 +78,8 @@ pub struct Array {
 /// of the run that made it are in the file.
 pub struct Stored {
     pub path: PathBuf,
+    /// How messages call it.
+    name: PathBuf,
     pub scene: Scene,
     file: H5File,
 }
@@ -155,9 +157,26 @@ impl Stored {
         let scene = Scene::parse_with(&text, &name, &overrides).map_err(wrong)?;
         Ok(Self {
             path: path.to_owned(),
+            name: path.to_owned(),
             scene,
             file,
         })
+    }
+
+    /// Opens a result that will have another name when it is complete, by which messages call it.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub(crate) fn open_draft(draft: &files::Draft) -> Result<Self, StoredError> {
+        Ok(Self {
+            name: draft.path().to_owned(),
+            ..Self::open(draft.hidden())?
+        })
+    }
+
+    /// How messages call the file.
+    pub(crate) fn name(&self) -> PathBuf {
+        self.name.clone()
     }
 
     /// A root attribute that is a text.
@@ -187,7 +206,7 @@ impl Stored {
         };
         let summary = serde_json::from_str(&text);
         summary.map(Some).map_err(|e| StoredError::Object {
-            path: self.path.clone(),
+            path: self.name(),
             object: "summary".to_owned(),
             reason: format!("not as this version writes it: {e}"),
         })

@@ -157,7 +157,7 @@ pub(super) fn fit_into(
     let samples = Samples::new(sizes, swept.as_ref(), solved.as_ref());
     let mapped = is_mapped(stored);
     if samples.is_empty() && !mapped {
-        let path = stored.path.clone();
+        let path = stored.name();
         return Err(RunError::NoData { path });
     }
 

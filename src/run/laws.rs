@@ -123,10 +123,6 @@ impl Doing<'_> {
     /// What was begun and could not be done.
     fn failed(&mut self, what: &str, error: &dyn std::fmt::Display) {
         self.done.stopped = self.done.stopped || self.session.is_over();
-        // Users know the file by its own name.
-        let hidden = self.draft.hidden().display().to_string();
-        let own = self.draft.path().display().to_string();
-        let error = error.to_string().replace(&hidden, &own);
         self.session.progress().note(&format!("{what}: {error}"));
     }
 
@@ -136,7 +132,7 @@ impl Doing<'_> {
         if model.feedback.is_empty() || self.is_over("law was fitted") {
             return Ok(());
         }
-        let stored = Stored::open(self.draft.hidden())?;
+        let stored = Stored::open_draft(self.draft)?;
         let going = (progress, self.session.deadline());
         let files = LawFiles::new(self.draft.path(), None);
         let fitted = (files.check(model, &model.feedback))
@@ -170,7 +166,7 @@ impl Doing<'_> {
         if !(simulates || model.dissipation.is_some()) || self.is_over(kind) {
             return Ok(());
         }
-        let stored = Stored::open(self.draft.hidden())?;
+        let stored = Stored::open_draft(self.draft)?;
         let progress = self.session.progress();
         let from = sources(Some(&stored), model, Vec::new(), progress)?;
         let options = LoopOptions::default();

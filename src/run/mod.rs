@@ -374,19 +374,22 @@ pub fn trajectory_schema(model: &Model, plan: &Plan) -> TrajectorySchema {
     }
 }
 
-/// Whether f32 resolves states to a small share of their region's widths, and V is within its range.
+/// Whether f32 resolves states to a small share of their region's widths, and V, which is 0 at an
+/// equilibrium (a terminal cost may have a constant of any size).
 fn in_single(plan: &Plan) -> [bool; 2] {
     /// Rounding of a state in units of the region's width.
     const MOST_ROUNDING: f64 = 1e-6;
-    /// Far enough from the ends of the range for what lies beyond or next to the scale of V.
+    /// Far enough from the ends of f32's range for what is some orders larger or smaller.
     const RANGE: std::ops::Range<f64> = 1e-20..1e30;
     let state = |i: usize| {
         let reference = plan.system.reference[i];
         let [lo, hi] = plan.region[i].map(|s| (reference + s).abs());
-        lo.max(hi) * f64::from(f32::EPSILON) <= MOST_ROUNDING * plan.widths[i]
+        let (largest, width) = (lo.max(hi), plan.widths[i]);
+        RANGE.contains(&width) && largest * f64::from(f32::EPSILON) <= MOST_ROUNDING * width
     };
     let states = (0..plan.system.states).all(state);
-    [states, RANGE.contains(&plan.value_scale)]
+    let values = plan.system.terminal.is_none() && RANGE.contains(&plan.value_scale);
+    [states, values]
 }
 
 /// Where results go that nobody has named a file for: `out/SCENE` and an ending of the name.

@@ -368,6 +368,19 @@ fn trajectories_may_be_left_out() {
         let v = &found[1].1;
         assert!(v.iter().any(|v| *v > 0.0) && v.iter().all(|v| !v.is_infinite()));
     }
+    // A terminal cost may have a constant of any size.
+    let arguments = [
+        "shoot-out",
+        &shipped("finite_horizon"),
+        "--values-only",
+        "--backend",
+        "cpu",
+        "--out",
+        "end.h5",
+    ];
+    let output = costate(&here, &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    assert_eq!(["x", "V"].map(|name| read("end.h5", name).0), [4, 8]);
 }
 
 #[test]

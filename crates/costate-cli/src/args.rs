@@ -146,8 +146,9 @@ pub struct RunArgs {
     /// trajectory are `[shoot_out] samples`.)
     #[arg(long)]
     pub no_trajectories: bool,
-    /// Of the trajectories of `[shoot_out]` store x and V alone, in f32 (and how each ended, and its
-    /// sheet): a fifth of the size. No law can be fitted to them, and no map is made of them.
+    /// Of the trajectories of `[shoot_out]` store x and V alone, in f32 where that resolves them
+    /// (and how each ended, and its sheet): a fifth of the size. No law can be fitted to them, and no
+    /// V is interpolated between them.
     #[arg(long, conflicts_with = "no_trajectories")]
     pub values_only: bool,
     /// Make no report (page and pictures) at the end of `run`.

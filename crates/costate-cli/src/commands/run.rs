@@ -41,13 +41,13 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
     let wanted = parts.wanted(args, model)?;
     let terminal = Terminal::new(args.scene.print);
-    if !wanted.sweep && wanted.kept != Kept::All {
+    if wanted.kept != Kept::All && !(wanted.sweep && model.shoot_out.is_some()) {
         let option = match wanted.kept {
             Kept::Values => "--values-only",
             _ => "--no-trajectories",
         };
         terminal.note(&format!(
-            "{option} changes nothing here: swept trajectories are only stored by run and shoot-out"
+            "{option} changes nothing here: swept trajectories are only stored by run and shoot-out, of scenes with [shoot_out]"
         ));
     }
     let path = out_path(args, solve, &terminal);
