@@ -88,6 +88,9 @@ impl Survey<'_> {
         let mut order: Vec<usize> = (0..self.targets.len())
             .filter(|t| self.targets.gridded[*t] && !self.is_refused(*t))
             .collect();
+        if order.is_empty() {
+            return Ok(());
+        }
         let place = |t: &usize| uniform(*t as u64, 1);
         order.sort_by(|a, b| place(a).total_cmp(&place(b)));
         let mut pilot = Pilot::new(self.plan)?;

@@ -60,14 +60,12 @@ impl Survey<'_> {
                 continue;
             }
             let asked = self.in_turn(&now, looked as u64);
-            let rounds = self.rounds(&solver.scheme.end, &direct, asked);
-            solver.deadline.check()?;
+            let rounds = self.rounds(solver, &direct, asked)?;
             looked += now.len();
             is_plain &= rounds.iter().all(Round::is_plain);
             let before: Vec<f64> = now.iter().map(|t| self.least_value(*t)).collect();
             let mut found = Vec::new();
             for (&target, round) in now.iter().zip(rounds) {
-                self.starts[target] += (FIRST + FURTHER + CARRIED) as u32;
                 found.extend(self.unknown(target, round.found));
             }
             self.solve_from(solver, &direct, found)?;

@@ -48,11 +48,16 @@ impl Survey<'_> {
         let doubtful: Vec<usize> = (0..self.targets.len())
             .filter(|t| !self.is_refused(*t) && !self.is_covered(*t))
             .collect();
+        if doubtful.is_empty() {
+            return Ok(());
+        }
         let open = self.try_mesh(solver, make, Mesh::Coarse, doubtful)?;
         progress("from V on a grid", self.solved(), self.targets.len());
-        if !self.try_mesh(solver, make, Mesh::Usual, open)?.is_empty() {
-            progress("from V on a finer grid", self.solved(), self.targets.len());
+        if open.is_empty() {
+            return Ok(());
         }
+        self.try_mesh(solver, make, Mesh::Usual, open)?;
+        progress("from V on a finer grid", self.solved(), self.targets.len());
         Ok(())
     }
 
@@ -66,6 +71,9 @@ impl Survey<'_> {
     ) -> Result<bool, BackendError> {
         let is_lost = |t: &usize| self.flown[*t] == Some(f64::INFINITY) && !self.is_covered(*t);
         let lost: Vec<usize> = (0..self.targets.len()).filter(is_lost).collect();
+        if lost.is_empty() {
+            return Ok(false);
+        }
         let before: Vec<f64> = lost.iter().map(|t| self.least_value(*t)).collect();
         self.try_mesh(solver, make, Mesh::Usual, lost.clone())?;
         progress("from V on a finer grid", self.solved(), self.targets.len());
@@ -82,8 +90,7 @@ impl Survey<'_> {
         mesh: Mesh,
         doubtful: Vec<usize>,
     ) -> Result<Vec<usize>, BackendError> {
-        let grid = (!doubtful.is_empty()).then(|| make(mesh)).flatten();
-        let Some(grid) = grid else {
+        let Some(grid) = make(mesh) else {
             return Ok(Vec::new());
         };
         // Where V is above what is of interest there need be no solution.

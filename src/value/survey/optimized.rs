@@ -2,7 +2,7 @@
 
 use super::{Progress, Survey, times};
 use crate::backend::BackendError;
-use crate::shooting::{End, Solver};
+use crate::shooting::Solver;
 use crate::value::direct::{CARRIED_FROM, Direct, Optimized, Round};
 use rayon::prelude::*;
 
@@ -81,10 +81,8 @@ impl Survey<'_> {
                         most: f64::INFINITY,
                     })
                     .collect();
-                let rounds = self.rounds(&solver.scheme.end, direct, asked);
-                solver.deadline.check()?;
+                let rounds = self.rounds(solver, direct, asked)?;
                 for (&target, round) in together.iter().zip(rounds) {
-                    self.starts[target] += count as u32;
                     costs[target].extend(round.costs);
                     found.extend(self.promising(target, round.found));
                 }
@@ -134,14 +132,12 @@ impl Survey<'_> {
                         most: self.least_value(*target),
                     })
                     .collect();
-                let rounds = self.rounds(&solver.scheme.end, direct, asked);
-                solver.deadline.check()?;
+                let rounds = self.rounds(solver, direct, asked)?;
                 let before: Vec<f64> = (together.iter())
                     .map(|(t, _)| self.least_value(*t))
                     .collect();
                 let mut found = Vec::new();
                 for ((target, _), round) in together.iter().zip(rounds) {
-                    self.starts[*target] += GUESSES as u32;
                     found.extend(self.promising(*target, round.found));
                 }
                 self.solve_from(solver, direct, found)?;
@@ -164,13 +160,28 @@ impl Survey<'_> {
     }
 
     /// What guesses lead to from some targets.
-    pub(super) fn rounds(&self, end: &End, direct: &Direct<'_>, asked: Vec<Asked>) -> Vec<Round> {
+    ///
+    /// # Errors
+    /// [`BackendError::OutOfTime`].
+    pub(super) fn rounds(
+        &mut self,
+        solver: &Solver,
+        direct: &Direct<'_>,
+        asked: Vec<Asked>,
+    ) -> Result<Vec<Round>, BackendError> {
+        for one in &asked {
+            self.starts[one.target] += one.guesses.len() as u32;
+        }
         let from: Vec<(Vec<f64>, Asked)> = (asked.into_iter())
             .map(|asked| (self.state(asked.target, 0), asked))
             .collect();
-        (from.par_iter())
+        let end = &solver.scheme.end;
+        let rounds = (from.par_iter())
             .map(|(s, asked)| direct.optimized(s, &asked.guesses, asked.most, end))
-            .collect()
+            .collect();
+        // What took longer was left out.
+        solver.deadline.check()?;
+        Ok(rounds)
     }
 
     /// Whether from states over the whole region all guesses lead to about the same.
