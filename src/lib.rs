@@ -220,7 +220,7 @@ pub mod session;
 // Rooms name each other `crate::ROOM`.
 use low_level::{
     attenuation, closed_loop, diagnostics, dynamic_programming, expr, feedback, files, hamiltonian,
-    integrator, local, map, model, numeric, program, scenario, schema, shooting, study, sweep,
+    integrator, local, map, mechanism, model, numeric, program, scenario, schema, shooting, study, sweep,
     trajectories, value,
 };
 #[cfg(feature = "hdf5")]

@@ -66,6 +66,8 @@ pub mod integrator;
 pub mod local;
 #[path = "map/mod.rs"]
 pub mod map;
+#[path = "mechanism/mod.rs"]
+pub mod mechanism;
 #[path = "model/mod.rs"]
 pub mod model;
 #[path = "numeric/mod.rs"]

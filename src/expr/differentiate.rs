@@ -100,7 +100,7 @@ impl Graph {
     }
 
     /// Derivative of `f` at `a`, given the node `value = f(a)`.
-    fn unary_derivative(&mut self, f: Fun, a: Id, value: Id) -> Id {
+    pub(super) fn unary_derivative(&mut self, f: Fun, a: Id, value: Id) -> Id {
         let one = self.constant(1.0);
         match f {
             Fun::Sin => self.unary(Fun::Cos, a),

@@ -17,6 +17,7 @@
 mod deviation;
 mod differentiate;
 mod evaluate;
+mod gradient;
 mod graph;
 mod polynomial;
 mod print;

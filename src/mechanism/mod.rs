@@ -1,0 +1,20 @@
+//! Multibody systems on expressions: the recursive algorithms of mechanics, run once on the graph,
+//! give programs whose length grows as the number of bodies.
+//!
+//! A [`Tree`] is a mechanism in numbers. Its [`Motion`] is where everything is, as expressions of
+//! coordinates and rates; [`Articulated`] gives accelerations from forces, [`Motion::joint_forces`]
+//! forces from accelerations. Formulas: M. Hardt, Multibody dynamical algorithms, numerical optimal
+//! control, with detailed studies in the control of jet engine compressors and biped walking, 1999,
+//! chapters II to IV; R. Featherstone, Rigid Body Dynamics Algorithms, 2008.
+
+pub mod algebra;
+mod forward;
+mod inverse;
+mod motion;
+#[cfg(test)]
+mod tests;
+mod tree;
+
+pub use forward::{Accelerations, Articulated, Load, Wrench};
+pub use motion::{Frame, Motion, Point};
+pub use tree::{Body, Inertia, Joint, Mount, Tree};
