@@ -29,7 +29,8 @@ pub type Wrench = (V3, V3);
 struct Eliminated {
     /// What the joint's axis is to its body: `[A B; B' C] S`.
     carried: Wrench,
-    /// 1 / (S' [A B; B' C] S + rotor).
+    /// S' [A B; B' C] S + rotor, what moves with the joint.
+    inertia: Id,
     inverse: Id,
     /// Where the joint carries nothing of itself: which entry of the wrench is its own force.
     own: Option<(usize, f64)>,
@@ -41,8 +42,8 @@ struct Eliminated {
 
 /// Articulated bodies: what all accelerations of one position share.
 #[derive(Clone, Debug)]
-pub struct Articulated<'m, 't> {
-    motion: &'m Motion<'t>,
+pub struct Articulated<'m> {
+    motion: &'m Motion,
     joints: Vec<Eliminated>,
 }
 
@@ -77,7 +78,7 @@ pub struct Accelerations {
 
 impl Blocks {
     /// Of a rigid body.
-    fn rigid(g: &mut Graph, motion: &Motion<'_>, i: usize) -> Self {
+    fn rigid(g: &mut Graph, motion: &Motion, i: usize) -> Self {
         let frame = &motion.frames[i];
         let mass = g.constant(motion.tree.bodies[i].inertia.mass);
         let none = g.constant(0.0);
@@ -169,9 +170,9 @@ fn along(g: &mut Graph, joint: Joint, axis: V3, of: Wrench) -> Id {
     }
 }
 
-impl<'m, 't> Articulated<'m, 't> {
+impl<'m> Articulated<'m> {
     /// Eliminates all joints, from the last body to the first.
-    pub fn new(g: &mut Graph, motion: &'m Motion<'t>) -> Self {
+    pub fn new(g: &mut Graph, motion: &'m Motion) -> Self {
         let count = motion.frames.len();
         let mut bodies: Vec<Blocks> = (0..count).map(|i| Blocks::rigid(g, motion, i)).collect();
         let mut joints = Vec::with_capacity(count);
@@ -196,6 +197,7 @@ impl<'m, 't> Articulated<'m, 't> {
             }
             joints.push(Eliminated {
                 carried,
+                inertia,
                 inverse,
                 own,
                 left,
@@ -204,6 +206,12 @@ impl<'m, 't> Articulated<'m, 't> {
         }
         joints.reverse();
         Self { motion, joints }
+    }
+
+    /// What moves with each joint where all after it are free: positive in a mechanism that can be
+    /// driven.
+    pub fn inertias(&self) -> Vec<Id> {
+        self.joints.iter().map(|j| j.inertia).collect()
     }
 
     /// The accelerations under a load, with gravity and the forces of velocity.
@@ -314,7 +322,7 @@ impl<'m, 't> Articulated<'m, 't> {
 }
 
 /// Moment about a body's origin and force that its velocities need: `w x J w`, `w x (w x m c)`.
-pub(super) fn velocity_wrench(g: &mut Graph, motion: &Motion<'_>, i: usize) -> Wrench {
+pub(super) fn velocity_wrench(g: &mut Graph, motion: &Motion, i: usize) -> Wrench {
     let frame = &motion.frames[i];
     let spun = times(g, &frame.tensor, frame.omega);
     let moment = cross(g, frame.omega, spun);

@@ -7,7 +7,7 @@ use super::motion::Motion;
 use super::tree::Joint;
 use crate::expr::{Graph, Id};
 
-impl Motion<'_> {
+impl Motion {
     /// Forces at the joints under which the coordinates have accelerations `second`: `M q'' + C q' +
     /// G`, less what the load's wrenches give. `second`: `None` is 0 everywhere.
     pub fn joint_forces(

@@ -11,10 +11,12 @@ pub mod algebra;
 mod forward;
 mod inverse;
 mod motion;
+mod system;
 #[cfg(test)]
 mod tests;
 mod tree;
 
 pub use forward::{Accelerations, Articulated, Load, Wrench};
 pub use motion::{Frame, Motion, Point};
+pub use system::{Energy, Link, Mechanism, Named, Posed};
 pub use tree::{Body, Inertia, Joint, Mount, Tree};

@@ -13,6 +13,7 @@ use super::algebra::{
 use super::tree::{Joint, Mount, Tree};
 use crate::expr::{Graph, Id};
 use glam::{DMat3, DQuat, DVec3};
+use std::sync::Arc;
 
 /// Components of a unit vector below this are rounding: it is a coordinate axis.
 const ALIGNED: f64 = 1e-15;
@@ -64,18 +65,18 @@ pub struct Point {
 
 /// A tree in motion.
 #[derive(Clone, Debug)]
-pub struct Motion<'t> {
-    pub tree: &'t Tree,
+pub struct Motion {
+    pub tree: Arc<Tree>,
     pub q: Vec<Id>,
     pub rates: Vec<Id>,
     pub frames: Vec<Frame>,
 }
 
-impl<'t> Motion<'t> {
+impl Motion {
     /// Of coordinates and their rates, one of each a body.
-    pub fn new(g: &mut Graph, tree: &'t Tree, q: &[Id], rates: &[Id]) -> Self {
+    pub fn new(g: &mut Graph, tree: &Arc<Tree>, q: &[Id], rates: &[Id]) -> Self {
         let mut motion = Self {
-            tree,
+            tree: tree.clone(),
             q: q.to_vec(),
             rates: rates.to_vec(),
             frames: Vec::with_capacity(tree.bodies.len()),

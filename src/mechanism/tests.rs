@@ -5,6 +5,7 @@ use crate::expr::{Graph, Id, Kind};
 use crate::program::Program;
 use glam::{DMat3, DVec3};
 use serde_json::Value;
+use std::sync::Arc;
 
 /// Relative to the largest of the values compared: sums of some hundred terms in other order.
 const AGREES: f64 = 1e-12;
@@ -101,7 +102,7 @@ fn agrees(what: &str, found: &[f64], wanted: &[f64]) {
 fn recursions_agree_with_two_other_programs() {
     let checks = checks();
     for (name, system) in checks["systems"].as_object().unwrap() {
-        let tree = tree(&system["model"]);
+        let tree = Arc::new(tree(&system["model"]));
         let count = tree.bodies.len();
         let mut c = Checked::new(count);
         let g = &mut c.graph;

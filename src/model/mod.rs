@@ -9,6 +9,7 @@ pub use turns::{MOST_TURNS, TooManyTurns};
 
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::expr::{Graph, Id, Values};
+use crate::mechanism::Mechanism;
 
 pub use crate::diagnostics::Span;
 
@@ -493,6 +494,8 @@ pub struct Model {
     pub disturbances: Vec<Variable>,
     /// One a state: its time derivative.
     pub dynamics: Vec<Located>,
+    /// From which they follow, where the scene has bodies and joints.
+    pub mechanism: Option<Mechanism>,
     /// Running cost L.
     pub running: Located,
     pub horizon: Horizon,

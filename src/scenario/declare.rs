@@ -4,6 +4,7 @@ use super::build::{Built, Origin, Use};
 use super::document::Given;
 use super::hints;
 use super::lexer::is_identifier;
+use super::mechanism::Generated;
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role, reserved};
 use crate::diagnostics::Problem;
@@ -21,7 +22,7 @@ pub(super) struct Declared<'a> {
     pub span: Span,
     pub value: &'a Value<'a>,
     /// The symbol; a definition has none.
-    symbol: Option<Id>,
+    pub symbol: Option<Id>,
 }
 
 /// All declared names, in the file's order.
@@ -54,6 +55,28 @@ impl<'a> Reader<'a> {
             .collect()
     }
 
+    /// Enters the states: those of the mechanism, which the section may describe, and its others.
+    pub fn declare_states(
+        &mut self,
+        section: Option<&Section<'a>>,
+        generated: &'a Generated,
+    ) -> Vec<Declared<'a>> {
+        let mut declared = Vec::new();
+        for state in &generated.states {
+            let described = section.and_then(|s| Some((s.key_span(&state.name), s.get(&state.name)?)));
+            let (span, value) = match described {
+                Some((span, value)) => (span, value),
+                None => (state.span.clone(), &generated.empty),
+            };
+            declared.push(self.declare_one(&state.name, span, value, Role::State));
+        }
+        let entries = section.into_iter().flat_map(Section::entries);
+        for (name, span, value) in entries.filter(|(name, ..)| !generated.contains(name)) {
+            declared.push(self.declare_one(name, span, value, Role::State));
+        }
+        declared
+    }
+
     fn declare_one(
         &mut self,
         name: &'a str,
@@ -67,7 +90,7 @@ impl<'a> Reader<'a> {
             Role::State => Some(Kind::State),
             Role::Control => Some(Kind::Control),
             Role::Disturbance => Some(Kind::Disturbance),
-            Role::Definition => None,
+            Role::Definition | Role::Quantity => None,
         };
         let symbol = kind.map(|kind| self.graph.symbol(name, kind));
         if let Some(first) = self.scope.get(name) {

@@ -1,6 +1,7 @@
 //! A scenario's text, parsed once: the scene at other values of its parameters is read from it
 //! again without another parse.
 
+use super::mechanism::Generated;
 use super::reader::Reader;
 use crate::diagnostics::ScenarioErrors;
 use crate::model::Model;
@@ -86,8 +87,9 @@ impl Document {
     /// [`ScenarioErrors`] with everything that is wrong.
     pub fn model(&self, overrides: &[(String, Given)]) -> Result<Model, ScenarioErrors> {
         self.parsed.with_dependent(|text, table| {
+            let generated = Generated::of(table.get_ref());
             let mut reader = Reader::new(text);
-            let model = reader.model(table.get_ref(), &self.file_name, overrides);
+            let model = reader.model(table.get_ref(), &generated, &self.file_name, overrides);
             match model {
                 Some(model) if reader.problems.is_empty() => Ok(Model {
                     graph: reader.graph,

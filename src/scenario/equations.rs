@@ -9,6 +9,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::model::{Guard, Located};
+use rustc_hash::FxHashMap;
 
 /// Terminal cost with the time it is paid at.
 #[derive(Clone, Debug)]
@@ -63,15 +64,31 @@ impl<'a> Reader<'a> {
     }
 
     /// `[dynamics]`: the time derivative of each state; `None` where one is missing or wrong.
+    ///
+    /// `given` are the rates that follow from a mechanism, where there is one; without a section
+    /// these must be all.
     pub fn dynamics(
         &mut self,
-        section: &Section<'a>,
+        section: Option<&Section<'a>>,
         states: &[Declared<'a>],
+        given: &FxHashMap<String, Located>,
     ) -> Option<Vec<Located>> {
-        self.entries_of(section, states, "states");
+        if let Some(section) = section {
+            self.entries_of(section, states, "states");
+        }
         let mut all = Vec::with_capacity(states.len());
         for state in states {
-            let Some(value) = section.get(state.name) else {
+            let value = section.and_then(|s| s.get(state.name));
+            if let Some(rate) = given.get(state.name) {
+                if let Some(value) = value {
+                    let message = format!("the rate of `{}` follows from the mechanism", shorten(state.name));
+                    let problem = Problem::at(value.span(), message, "remove this");
+                    self.report(problem.with_help("forces are written in [mechanism.forces]"));
+                }
+                all.push(Some(rate.clone()));
+                continue;
+            }
+            let Some(value) = value else {
                 let message = format!(
                     "state `{}` has no equation in [dynamics]",
                     shorten(state.name)

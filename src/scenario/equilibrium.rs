@@ -1,6 +1,7 @@
 //! `[equilibrium]`: read, and checked against the equations.
 
 use super::declare::Declared;
+use super::mechanism::Generated;
 use super::reader::{Reader, Section};
 use crate::diagnostics::Problem;
 use crate::diagnostics::shorten;
@@ -54,6 +55,7 @@ impl<'a> Reader<'a> {
         states: &[Declared<'a>],
         controls: &[Declared<'a>],
         disturbances: &[Declared<'a>],
+        generated: &Generated,
     ) -> Option<Equilibrium> {
         for d in disturbances
             .iter()
@@ -77,8 +79,8 @@ impl<'a> Reader<'a> {
             .collect();
         self.entries_of(section, &known, "states and controls");
         let (x, u) = (
-            self.values_of(section, states, "state"),
-            self.values_of(section, controls, "control"),
+            self.values_of(section, states, ("state", generated)),
+            self.values_of(section, controls, ("control", generated)),
         );
         Some(Equilibrium {
             x: x?,
@@ -91,7 +93,7 @@ impl<'a> Reader<'a> {
         &mut self,
         section: &Section<'a>,
         names: &[Declared<'a>],
-        noun: &str,
+        (noun, generated): (&str, &Generated),
     ) -> Option<Vec<Placed>> {
         let mut all = Vec::with_capacity(names.len());
         let mut missing = Vec::new();
@@ -99,6 +101,8 @@ impl<'a> Reader<'a> {
             let name = shorten(declared.name);
             all.push(match section.get(declared.name) {
                 Some(v) => self.number(v, &format!("the equilibrium of `{name}`")),
+                // A mechanism is at rest.
+                None if generated.is_rate(declared.name) => Some(0.0),
                 None => {
                     missing.push(name);
                     None

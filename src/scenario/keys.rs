@@ -151,6 +151,123 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                 keys: &[],
             },
             SectionKeys {
+                name: "mechanism",
+                about: "Bodies and joints, in place of `[dynamics]`: the guide's chapter Mechanisms. Each coordinate makes\n\
+                    a state of its name and one of its rate, NAME`_rate`; `[states]` may describe them (`unit`,\n\
+                    `long_name`, `period`) and, with `[dynamics]`, add others. Expressions may have `kinetic`,\n\
+                    `potential` and `energy`.",
+                keys: &[
+                    key(
+                        "gravity",
+                        "two or three numbers",
+                        "acceleration",
+                        "required",
+                        "two: the mechanism is planar; zeros for none",
+                    ),
+                    key("bodies", "a table a body", "", "required", ""),
+                    key("points", "a table a point", "", "none", ""),
+                    key("forces", "an entry a joint or body", "", "none", ""),
+                ],
+            },
+            SectionKeys {
+                name: "mechanism.bodies",
+                about: "One table for each body. Their order is that of the coordinates. Vectors have two numbers in a\n\
+                    planar mechanism, else three. Numbers may be expressions of parameters. In a chain each value\n\
+                    may be a list of values, one a link.",
+                keys: &[
+                    key(
+                        "joint",
+                        "`\"revolute\"`, `\"prismatic\"`, `\"planar\"`, `\"spherical\"`, `\"floating\"` or `\"fixed\"`",
+                        "",
+                        "required",
+                        "how it moves against its parent. Coordinates: NAME; NAME; NAME`_x`, NAME`_y`, NAME; NAME`_yaw`, NAME`_pitch`, NAME`_roll` (turns about z, y, x in this order); NAME`_x`, `_y`, `_z` and the three angles; none",
+                    ),
+                    key("parent", "a body's name, or `\"world\"`", "", "`\"world\"`", ""),
+                    key(
+                        "at",
+                        "vector",
+                        "length",
+                        "0",
+                        "place of the joint in the parent's frame; in a chain of all links after the first",
+                    ),
+                    key("start", "vector", "length", "0", "of a chain: place of the first link's joint"),
+                    key(
+                        "rotation",
+                        "angle; in space three rows",
+                        "rad",
+                        "none",
+                        "the joint's frame in the parent's: columns are its axes",
+                    ),
+                    key(
+                        "rpy",
+                        "[roll, pitch, yaw]",
+                        "rad",
+                        "none",
+                        "the same as angles about x, y and z (fixed axes, in this order)",
+                    ),
+                    key(
+                        "axis",
+                        "`\"x\"`, `\"y\"`, `\"z\"` or vector",
+                        "",
+                        "`\"z\"`; prismatic: required",
+                        "of a revolute or prismatic joint, in the joint's frame",
+                    ),
+                    key("mass", "number from 0", "mass", "0", ""),
+                    key("com", "vector", "length", "0, or the shape's", "centre of mass, in the body's frame (the joint's, moved)"),
+                    key(
+                        "inertia",
+                        "planar: number; else [xx, yy, zz], [xx, xy, xz, yy, yz, zz] or three rows",
+                        "mass length^2",
+                        "0",
+                        "about the centre of mass, along the body's axes",
+                    ),
+                    key("shape", "a table", "", "none", "com and inertia of a solid of uniform density"),
+                    key("damping", "number from 0", "force by rate", "0", "at the joint: -damping times the rate"),
+                    key("spring", "number", "force by coordinate", "0", "at the joint: -spring times (the coordinate - rest)"),
+                    key("rest", "number", "the coordinate's", "0", "where the spring has no force"),
+                    key("rotor", "number from 0", "inertia of the coordinate", "0", "inertia of a motor as the joint feels it (by the gear ratio squared)"),
+                    key("chain", "whole number from 1 to 200", "1", "none", "so many links NAME1, NAME2, ..., each on the one before"),
+                ],
+            },
+            SectionKeys {
+                name: "mechanism.bodies.shape",
+                about: "One of these. All but the sphere begin at the joint and lie along the body's x axis.",
+                keys: &[
+                    key("rod", "number > 0", "length", "", "thin, of this length"),
+                    key("cylinder", "[length, radius]", "length", "", ""),
+                    key("ellipsoid", "[length, radius] or [x, y, z]", "length", "", "its axes from end to end"),
+                    key("box", "[x, y, z]", "length", "", "its edges"),
+                    key("sphere", "number > 0", "length", "", "of this radius, about the joint"),
+                ],
+            },
+            SectionKeys {
+                name: "mechanism.points",
+                about: "One table for each point. Expressions may have its place and velocity in the world: NAME`.x`,\n\
+                    NAME`.y`, NAME`.vx`, NAME`.vy`, in space NAME`.z`, NAME`.vz`.",
+                keys: &[
+                    key("body", "a body's name, or `\"world\"`", "", "`\"world\"`", ""),
+                    key("at", "vector", "length", "0", "in the body's frame"),
+                ],
+            },
+            SectionKeys {
+                name: "mechanism.forces",
+                about: "One entry for each joint or body. A joint (by its coordinate): its force or torque, an expression of\n\
+                    parameters, states, controls, disturbances and definitions, affine in controls and disturbances. A body:\n\
+                    a table, or a list of tables, of what acts on it.",
+                keys: &[],
+            },
+            SectionKeys {
+                name: "mechanism.forces.body",
+                about: "What acts on a body, each an expression as above.",
+                keys: &[
+                    key("moment", "expression; in space three", "", "none", ""),
+                    key("force", "two or three expressions", "", "none", ""),
+                    key("point", "a point's name", "", "none", "where the force acts: a point of this body"),
+                    key("at", "vector", "length", "0", "the same as a place in the body's frame"),
+                    key("axes", "`\"world\"` or `\"body\"`", "", "`\"world\"`", "that moment and force are written in"),
+                ],
+            },
+            SectionKeys {
                 name: "cost",
                 about: "Required. `terminal` and `final_time` together make the horizon finite.",
                 keys: &[

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 use winnow::ascii::{digit0, digit1};
-use winnow::combinator::{alt, opt};
+use winnow::combinator::{alt, opt, repeat};
 use winnow::error::ContextError;
 use winnow::prelude::*;
 use winnow::stream::LocatingSlice;
@@ -78,14 +78,16 @@ fn number<'t>(input: &mut Input<'t>) -> Result<Kind<'t>, ContextError> {
 }
 
 fn name<'t>(input: &mut Input<'t>) -> Result<Kind<'t>, ContextError> {
-    let first = one_of(|c: char| c.is_alphabetic() || c == '_');
-    let text: &str = (
-        first,
-        take_while(0.., |c: char| c.is_alphanumeric() || c == '_'),
-    )
-        .take()
-        .parse_next(input)?;
-    Ok(if is_identifier(text) {
+    let part = || {
+        (
+            one_of(|c: char| c.is_alphabetic() || c == '_'),
+            take_while(0.., |c: char| c.is_alphanumeric() || c == '_'),
+        )
+            .void()
+    };
+    let more = repeat::<_, _, (), _, _>(0.., ('.', part()).void());
+    let text: &str = (part(), more).take().parse_next(input)?;
+    Ok(if text.split('.').all(is_identifier) {
         Kind::Name(text)
     } else {
         Kind::Foreign(text)

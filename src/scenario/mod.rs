@@ -17,6 +17,7 @@ mod feedback;
 mod hints;
 mod keys;
 mod lexer;
+mod mechanism;
 mod parser;
 mod periods;
 mod quoted;

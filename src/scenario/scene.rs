@@ -8,6 +8,7 @@ use super::equilibrium::{Equilibrium, Scene};
 use super::feedback::law_names;
 use super::hints;
 use super::keys;
+use super::mechanism::{Generated, Structure};
 use super::parser::{parse_expression, parse_guard};
 use super::reader::{Reader, Section};
 use super::scope::Role;
@@ -15,6 +16,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
+use crate::mechanism::Mechanism;
 use crate::model::{
     Attenuation, ClosedLoop, Control, Dissipation, Feedback, Guard, Homotopy, Horizon, Integrator,
     Located, MapAim, MapGrid, Model, Report, Sheets, ShootOut, State, Study, Variable,
@@ -66,6 +68,14 @@ impl Posed {
             None => None,
         }
     }
+}
+
+/// What a mechanism comes to; nothing where the scene has none.
+#[derive(Default)]
+struct Moved {
+    mechanism: Option<Mechanism>,
+    /// Of its states, by name.
+    rates: FxHashMap<String, Located>,
 }
 
 /// What a scene asks for without a closed loop, with the fields of a [`Model`].
@@ -207,15 +217,54 @@ impl<'a> Reader<'a> {
         });
     }
 
-    fn declarations(&mut self, sections: &Sections<'a>) -> Declarations<'a> {
+    fn declarations(
+        &mut self,
+        sections: &Sections<'a>,
+        generated: &'a Generated,
+    ) -> Declarations<'a> {
+        let parameters = self.declare(sections.get("parameters"), Role::Parameter);
+        let states = self.declare_states(sections.get("states"), generated);
         let mut of = |name: &str, role| self.declare(sections.get(name), role);
         Declarations {
-            parameters: of("parameters", Role::Parameter),
-            states: of("states", Role::State),
+            parameters,
+            states,
             controls: of("controls", Role::Control),
             disturbances: of("disturbances", Role::Disturbance),
             definitions: of("definitions", Role::Definition),
         }
+    }
+
+    /// What follows from a mechanism's bodies and joints, where the scene has one: the outer `None`
+    /// where something is wrong with it.
+    fn structure_of(
+        &mut self,
+        sections: &Sections<'a>,
+        declared: &Declarations<'a>,
+    ) -> Option<Option<Structure>> {
+        let Some(section) = sections.get("mechanism") else {
+            return Some(None);
+        };
+        let symbols = (declared.states.iter())
+            .filter_map(|s| Some((s.name, s.symbol?)))
+            .collect();
+        self.structure(section, &symbols).map(Some)
+    }
+
+    /// The mechanism with its forces, and the rates that follow.
+    fn moved(
+        &mut self,
+        sections: &Sections<'a>,
+        structure: Option<Option<Structure>>,
+    ) -> Option<Moved> {
+        let (structure, section) = match (structure?, sections.get("mechanism")) {
+            (Some(structure), Some(section)) => (structure, section),
+            _ => return Some(Moved::default()),
+        };
+        let (mechanism, rates) = self.mechanism(section, structure)?;
+        Some(Moved {
+            mechanism: Some(mechanism),
+            rates,
+        })
     }
 
     /// Reports the required sections that are missing.
@@ -225,14 +274,17 @@ impl<'a> Reader<'a> {
             true => BEGINNING,
             false => "the states, in the order of the output's axes",
         };
-        self.require(root, sections, "states", states);
+        let mechanism = sections.contains_key("mechanism");
+        if !mechanism {
+            self.require(root, sections, "states", states);
+        }
         self.require(root, sections, "controls", "the controls");
         // Where these are there, what they lack is reported entry by entry.
         for (name, what) in [
             ("dynamics", "the time derivative of each state"),
             ("cost", "the running cost"),
         ] {
-            if !sections.contains_key(name) {
+            if !sections.contains_key(name) && !(mechanism && name == "dynamics") {
                 self.require(root, sections, name, what);
             }
         }
@@ -248,15 +300,19 @@ impl<'a> Reader<'a> {
     pub(super) fn model(
         &mut self,
         root: &'a DeTable<'a>,
+        generated: &'a Generated,
         file_name: &str,
         overrides: &[(String, Given)],
     ) -> Option<Model> {
         let (sections, title) = self.sections(root);
         self.require_sections(root, &sections);
-        let declared = self.declarations(&sections);
+        let declared = self.declarations(&sections, generated);
         let parameters = self.parameters(&declared.parameters, overrides);
+        let structure = self.structure_of(&sections, &declared);
         self.definitions(&declared.definitions);
-        let (posed, notes) = self.posed(&sections, &declared);
+        let moved = self.moved(&sections, structure);
+        let rates = moved.as_ref().map(|m| &m.rates);
+        let (posed, notes) = self.posed(&sections, &declared, generated, rates);
         self.require_horizon(root, &sections, &posed.cost);
         self.check_posed(&posed);
         let reference = posed.reference();
@@ -277,6 +333,7 @@ impl<'a> Reader<'a> {
             controls: posed.controls?,
             disturbances: posed.disturbances?,
             dynamics: posed.dynamics?,
+            mechanism: moved?.mechanism,
             horizon: horizon(&posed.cost, posed.equilibrium, reference)?,
             running: posed.cost.running?,
             region: posed.region?,
@@ -304,6 +361,8 @@ impl<'a> Reader<'a> {
         &mut self,
         sections: &Sections<'a>,
         declared: &Declarations<'a>,
+        generated: &Generated,
+        rates: Option<&FxHashMap<String, Located>>,
     ) -> (Posed, Vec<String>) {
         let mut states = self.states(&declared.states);
         let notes = match &mut states {
@@ -314,9 +373,11 @@ impl<'a> Reader<'a> {
             states,
             controls: self.controls(&declared.controls),
             disturbances: self.disturbances(&declared.disturbances),
-            dynamics: sections
-                .get("dynamics")
-                .and_then(|s| self.dynamics(s, &declared.states)),
+            dynamics: match (sections.get("dynamics"), rates) {
+                (None, _) if !sections.contains_key("mechanism") => None,
+                (section, Some(rates)) => self.dynamics(section, &declared.states, rates),
+                (_, None) => None,
+            },
             cost: sections
                 .get("cost")
                 .map(|s| self.cost(s))
@@ -335,6 +396,7 @@ impl<'a> Reader<'a> {
                     &declared.states,
                     &declared.controls,
                     &declared.disturbances,
+                    generated,
                 )
             }),
         };

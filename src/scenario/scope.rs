@@ -46,6 +46,8 @@ pub(super) enum Role {
     Control,
     Disturbance,
     Definition,
+    /// What follows from the mechanism.
+    Quantity,
 }
 
 impl Role {
@@ -56,6 +58,7 @@ impl Role {
             Role::Control => "a control",
             Role::Disturbance => "a disturbance",
             Role::Definition => "a definition",
+            Role::Quantity => "a quantity of the mechanism",
         }
     }
 
@@ -66,7 +69,7 @@ impl Role {
             Role::State => Kinds::STATE,
             Role::Control => Kinds::CONTROL,
             Role::Disturbance => Kinds::DISTURBANCE,
-            Role::Definition => Kinds::NONE,
+            Role::Definition | Role::Quantity => Kinds::NONE,
         }
     }
 }

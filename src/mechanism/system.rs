@@ -1,0 +1,110 @@
+//! A mechanism with its symbols and what acts on it: what a scene's `[mechanism]` comes to.
+
+use super::algebra::V3;
+use super::{Articulated, Load, Motion, Mount, Point, Tree};
+use crate::expr::{Graph, Id};
+use glam::DVec3;
+use std::sync::Arc;
+
+/// A body as it was named; it may be part of another one (a fixed joint) or have coordinates of
+/// massless bodies before it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Link {
+    pub name: String,
+    pub mount: Mount,
+    /// The link that it hangs on.
+    pub parent: Option<usize>,
+}
+
+/// A point that was named.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Named {
+    pub name: String,
+    pub link: Option<usize>,
+    pub mount: Mount,
+    /// In the frame of the mount.
+    pub at: DVec3,
+}
+
+/// A mechanism: bodies, symbols and forces.
+#[derive(Clone, Debug)]
+pub struct Mechanism {
+    pub tree: Arc<Tree>,
+    /// Whether it was described in two dimensions.
+    pub planar: bool,
+    /// Symbols of the coordinates and their rates, one a body of the tree.
+    pub q: Vec<Id>,
+    pub rates: Vec<Id>,
+    pub links: Vec<Link>,
+    pub points: Vec<Named>,
+    /// Of the joints, springs and dampers included, and of forces at points.
+    pub load: Load,
+    /// q'', one a body.
+    pub second: Vec<Id>,
+    pub energy: Energy,
+}
+
+/// Energies.
+#[derive(Clone, Copy, Debug)]
+pub struct Energy {
+    pub kinetic: Id,
+    /// Of gravity and springs.
+    pub potential: Id,
+}
+
+/// Positions and velocities of a mechanism in motion, and what they cost to tell.
+#[derive(Clone, Debug)]
+pub struct Posed {
+    pub motion: Motion,
+    /// From each body's working axes to the world's.
+    pub orientations: Vec<super::algebra::M3>,
+    /// Of each body, in world axes.
+    pub origins: Vec<V3>,
+    /// Of the origins, in working axes.
+    pub velocities: Vec<V3>,
+}
+
+impl Posed {
+    /// Of a tree at given coordinates and rates.
+    pub fn new(g: &mut Graph, tree: &Arc<Tree>, q: &[Id], rates: &[Id]) -> Self {
+        let motion = Motion::new(g, tree, q, rates);
+        let orientations = motion.orientations(g);
+        let origins = motion.origins(g, &orientations);
+        let velocities = motion.velocities(g);
+        Self {
+            motion,
+            orientations,
+            origins,
+            velocities,
+        }
+    }
+
+    pub fn point(&self, g: &mut Graph, mount: &Mount, at: DVec3) -> Point {
+        let all = (
+            &self.orientations[..],
+            &self.origins[..],
+            &self.velocities[..],
+        );
+        self.motion.point(g, mount, at, all)
+    }
+
+    pub fn kinetic(&self, g: &mut Graph) -> Id {
+        self.motion.kinetic(g, &self.velocities)
+    }
+
+    /// Of gravity.
+    pub fn potential(&self, g: &mut Graph) -> Id {
+        (self.motion).potential(g, &self.orientations, &self.origins)
+    }
+
+    /// A vector of world axes in a body's working axes.
+    pub fn into_working(&self, g: &mut Graph, body: usize, v: V3) -> V3 {
+        super::algebra::transposed_times(g, &self.orientations[body], v)
+    }
+
+    /// q'' under a load.
+    pub fn accelerations(&self, g: &mut Graph, load: &Load) -> Vec<Id> {
+        let articulated = Articulated::new(g, &self.motion);
+        articulated.accelerations(g, load).joints
+    }
+}
