@@ -14,17 +14,24 @@ impl Graph {
 
     /// Derivatives of several expressions by one symbol, sharing the work.
     pub fn diff_all(&mut self, exprs: &[Id], symbol: Id) -> Vec<Id> {
+        let one = self.constant(1.0);
+        self.tangents(exprs, &FxHashMap::from_iter([(symbol, one)]))
+    }
+
+    /// Derivatives of several expressions along a direction: `along` has the rates of the symbols
+    /// that change.
+    pub fn tangents(&mut self, exprs: &[Id], along: &FxHashMap<Id, Id>) -> Vec<Id> {
         let mut d: FxHashMap<Id, Id> = FxHashMap::default();
         for id in self.reachable(exprs) {
-            let value = self.diff_node(id, symbol, &d);
+            let value = self.diff_node(id, along, &d);
             d.insert(id, value);
         }
         exprs.iter().map(|e| d[e]).collect()
     }
 
-    fn diff_node(&mut self, id: Id, symbol: Id, d: &FxHashMap<Id, Id>) -> Id {
-        if id == symbol {
-            return self.constant(1.0);
+    fn diff_node(&mut self, id: Id, along: &FxHashMap<Id, Id>, d: &FxHashMap<Id, Id>) -> Id {
+        if let Some(&rate) = along.get(&id) {
+            return rate;
         }
         match self.node(id) {
             Node::Const(_) | Node::Symbol(_) => self.constant(0.0),

@@ -14,11 +14,13 @@
 //! assert_eq!(g.show(dy), "sin(x) + x*cos(x)");
 //! ```
 
+mod degree;
 mod deviation;
 mod differentiate;
 mod evaluate;
 mod gradient;
 mod graph;
+mod hessian;
 mod polynomial;
 mod print;
 

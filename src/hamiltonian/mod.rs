@@ -46,6 +46,28 @@ pub struct Hamiltonian {
     pub guards: Vec<Guard>,
 }
 
+/// Operations up to which derivatives are also taken symbol by symbol.
+const SHORT: usize = 200;
+
+/// dH/dx at fixed inputs: in reverse, for the price of a few H, or symbol by symbol where that is
+/// less.
+fn slopes(graph: &mut Graph, open: Id, x: &[Id]) -> Vec<Id> {
+    let reverse = graph.gradient(open, x);
+    if graph.reachable(&[open]).len() > SHORT {
+        return reverse;
+    }
+    let forward: Vec<Id> = x.iter().map(|state| graph.diff(open, *state)).collect();
+    let operations = |slopes: &[Id]| {
+        let reached = graph.reachable(&[&[open], slopes].concat());
+        reached.iter().filter(|id| graph.arguments(**id).next().is_some()).count()
+    };
+    if operations(&reverse) < operations(&forward) {
+        reverse
+    } else {
+        forward
+    }
+}
+
 impl Hamiltonian {
     /// Derives all equations of a scene.
     ///
@@ -71,10 +93,8 @@ impl Hamiltonian {
         let mut roots = f.clone();
         roots.push(model.running.expr);
         roots.push(open);
-        for &state in &x {
-            let slope = graph.diff(open, state);
-            roots.push(graph.neg(slope));
-        }
+        let slopes = slopes(&mut graph, open, &x);
+        roots.extend(slopes.iter().map(|slope| graph.neg(*slope)));
         let inserted = graph.substitute(&roots, &optimum.replacements(model));
         let n = x.len();
         Ok(Self {
@@ -118,14 +138,7 @@ impl Hamiltonian {
         let map = swap.into_iter().chain(worst).collect();
         let smooth = graph.substitute(&[self.open], &map)[0];
         let variables: Vec<Id> = self.x.iter().chain(&self.p).copied().collect();
-        let mut second = Vec::new();
-        for &a in &variables {
-            let slope = graph.diff(smooth, a);
-            for &b in &variables {
-                second.push(graph.diff(slope, b));
-            }
-        }
-        graph.eval(&second, &self.point(model))
+        graph.hessian(smooth, &variables, &self.point(model))
     }
 
     /// Values of parameters, states at the reference point and zero adjoints.

@@ -49,8 +49,8 @@ pub(super) fn extremal_inputs(
         .map(|c| &c.variable)
         .chain(&model.disturbances)
         .collect();
-    let (rates, cost) = polynomials(model, graph, &inputs)?;
-    let (hessian, gradient) = derivatives(graph, &rates, &cost, p, inputs.len());
+    let (driven, cost) = input_terms(model, graph, &inputs, p)?;
+    let (hessian, gradient) = derivatives(graph, &driven, &cost);
     check_hessian(model, graph, &inputs, &hessian)?;
     let guards = definiteness_guards(model, graph, &inputs, &hessian);
     let solution = solve(graph, hessian, gradient);
@@ -67,60 +67,95 @@ pub(super) fn extremal_inputs(
     })
 }
 
-/// Dynamics (one a state) and running cost as polynomials in the inputs.
+/// `d(p'f)/dz`, z = (u, w), free of z, and the running cost as a polynomial in z.
 ///
 /// # Errors
-/// All reasons why they are not affine and quadratic.
-fn polynomials(
+/// All reasons why the dynamics are not affine and the cost is not quadratic in the inputs.
+fn input_terms(
     model: &Model,
     graph: &mut Graph,
     inputs: &[&Variable],
-) -> Result<(Vec<Polynomial>, Polynomial), Vec<Problem>> {
+    p: &[Id],
+) -> Result<(Vec<Id>, Polynomial), Vec<Problem>> {
     let symbols: Vec<Id> = inputs.iter().map(|v| v.symbol).collect();
+    let rates: Vec<Id> = model.dynamics.iter().map(|d| d.expr).collect();
     let mut problems = Vec::new();
-    let mut rates = Vec::new();
-    for (state, rate) in model.states.iter().zip(&model.dynamics) {
-        let what = format!("the dynamics of `{}`", state.variable.name);
-        match read(graph, rate, &symbols, inputs, 1, &what, "affine") {
-            Ok(poly) => rates.push(poly),
-            Err(problem) => problems.push(problem),
-        }
-    }
+    let seen_affine = graph.degrees(&rates, &symbols);
+    let driven = if seen_affine.iter().all(|d| d.is_some_and(|d| d <= 1)) {
+        let terms: Vec<Id> = p.iter().zip(&rates).map(|(p, f)| graph.mul(*p, *f)).collect();
+        let power = graph.sum(&terms);
+        graph.gradient(power, &symbols)
+    } else {
+        // What is not seen to be affine may be so once it is taken apart.
+        affine_terms(model, graph, inputs, p).unwrap_or_else(|found| {
+            problems.extend(found);
+            Vec::new()
+        })
+    };
     let running = &model.running;
     let what = "the running cost";
     match read(graph, running, &symbols, inputs, 2, what, "quadratic") {
-        Ok(cost) if problems.is_empty() => return Ok((rates, cost)),
+        Ok(cost) if problems.is_empty() => return Ok((driven, cost)),
         Ok(_) => {}
         Err(problem) => problems.push(problem),
     }
     Err(problems)
 }
 
-/// `dH/dz = hessian z + gradient`, z = (u, w), of polynomials in z; p are the adjoints.
+/// `d(p'f)/dz` by f as polynomials in z.
+///
+/// # Errors
+/// All reasons why these are not affine.
+fn affine_terms(
+    model: &Model,
+    graph: &mut Graph,
+    inputs: &[&Variable],
+    p: &[Id],
+) -> Result<Vec<Id>, Vec<Problem>> {
+    let symbols: Vec<Id> = inputs.iter().map(|v| v.symbol).collect();
+    let mut problems = Vec::new();
+    let mut terms = vec![Vec::new(); inputs.len()];
+    for ((state, rate), &adjoint) in model.states.iter().zip(&model.dynamics).zip(p) {
+        let what = format!("the dynamics of `{}`", state.variable.name);
+        match read(graph, rate, &symbols, inputs, 1, &what, "affine") {
+            Ok(poly) => {
+                for (i, terms) in terms.iter_mut().enumerate() {
+                    if let Some(&c) = poly.get(&unit(inputs.len(), &[i])) {
+                        terms.push(graph.mul(c, adjoint));
+                    }
+                }
+            }
+            Err(problem) => problems.push(problem),
+        }
+    }
+    match problems.is_empty() {
+        true => Ok(terms.iter().map(|terms| graph.sum(terms)).collect()),
+        false => Err(problems),
+    }
+}
+
+/// Exponents of a product of inputs.
+fn unit(inputs: usize, hits: &[usize]) -> Vec<u8> {
+    let mut exponents = vec![0u8; inputs];
+    hits.iter().for_each(|&k| exponents[k] += 1);
+    exponents
+}
+
+/// `dH/dz = hessian z + gradient`, z = (u, w), of `d(p'f)/dz` and the cost as a polynomial in z.
 fn derivatives(
     graph: &mut Graph,
-    rates: &[Polynomial],
+    driven: &[Id],
     cost: &Polynomial,
-    p: &[Id],
-    m: usize,
 ) -> (Vec<Vec<Id>>, Vec<Id>) {
+    let m = driven.len();
     let zero = graph.constant(0.0);
-    let coefficient = |poly: &Polynomial, hits: &[usize]| {
-        let mut e = vec![0u8; m];
-        hits.iter().for_each(|&k| e[k] += 1);
-        poly.get(&e).copied().unwrap_or(zero)
-    };
+    let coefficient = |hits: &[usize]| cost.get(&unit(m, hits)).copied().unwrap_or(zero);
     let mut gradient = Vec::with_capacity(m);
     let mut hessian = vec![vec![zero; m]; m];
     for i in 0..m {
-        let mut terms = vec![coefficient(cost, &[i])];
-        for (rate, &adjoint) in rates.iter().zip(p) {
-            let c = coefficient(rate, &[i]);
-            terms.push(graph.mul(c, adjoint));
-        }
-        gradient.push(graph.sum(&terms));
+        gradient.push(graph.add(coefficient(&[i]), driven[i]));
         for j in 0..m {
-            let c = coefficient(cost, &[i, j]);
+            let c = coefficient(&[i, j]);
             hessian[i][j] = if i == j {
                 let two = graph.constant(2.0);
                 graph.mul(two, c)

@@ -36,13 +36,10 @@ pub struct Equations {
 }
 
 impl Equations {
-    /// `most` variation components are carried at once by an integrated vector.
+    /// `most` variation components are carried at once by an integrated vector; where equations are
+    /// long, as many columns as keep the program short.
     pub fn new(system: &System, widths: &[f64], value_scale: f64, most: usize) -> Self {
         let n = system.states;
-        let columns = (1..=2 * n)
-            .rev()
-            .find(|c| (2 * n).is_multiple_of(*c) && 2 * n * c <= most)
-            .unwrap_or(1);
         let mut graph = system.graph.clone();
         let duration = graph.symbol("segment duration", Kind::Parameter);
         let size = graph.symbol("segment size", Kind::Parameter);
@@ -52,15 +49,8 @@ impl Equations {
         let replaced: FxHashMap<Id, Id> = (system.inputs.iter().zip(&units))
             .map(|(z, y)| (*z, graph.mul(size, *y)))
             .collect();
-        // By column, then transposed.
-        let by_input: Vec<Vec<Id>> = (system.inputs.iter())
-            .map(|x| graph.diff_all(&system.rate[..2 * n], *x))
-            .collect();
-        let mut roots = system.rate.clone();
-        roots.extend((0..2 * n).flat_map(|i| by_input.iter().map(move |c| c[i])));
-        let roots = graph.substitute(&roots, &replaced);
-        let (system_rates, jacobian) = roots.split_at(2 * n + 1);
-        let switches = graph.kinks(system_rates);
+        let system_rates = graph.substitute(&system.rate, &replaced);
+        let switches = graph.kinks(&system_rates);
 
         // The system's rates are those of backward time.
         let backward = graph.neg(duration);
@@ -78,18 +68,20 @@ impl Equations {
         inputs.extend([duration, size]);
         let plain_rates = [rates.as_slice(), &[cost]].concat();
         let plain = Program::lower(&graph, &inputs, &plain_rates);
-        let kinks = (!switches.is_empty()).then_some((inputs.clone(), switches));
-        for c in 0..columns {
-            let column: Vec<Id> = (0..2 * n)
-                .map(|i| graph.symbol(&format!("variation {c} {i}"), Kind::State))
-                .collect();
-            for row in jacobian.chunks(2 * n) {
-                let rate = product(&mut graph, row, &column);
-                rates.push(graph.mul(backward, rate));
-            }
-            inputs.extend(column);
-        }
-        let varied = Program::lower(&graph, &inputs, &rates);
+        let kinks = (!switches.is_empty()).then(|| Program::lower(&graph, &inputs, &switches));
+
+        let varied = Varied {
+            graph,
+            inputs,
+            rates,
+            replaced,
+            backward,
+        };
+        let fitting = (1..=2 * n)
+            .rev()
+            .find(|c| (2 * n).is_multiple_of(*c) && 2 * n * c <= most)
+            .unwrap_or(1);
+        let (columns, varied) = varied.program(system, fitting, plain.operations());
         let scales = (widths.iter().copied())
             .chain(widths.iter().map(|w| value_scale / w))
             .collect();
@@ -98,7 +90,7 @@ impl Equations {
             columns,
             plain,
             varied,
-            kinks: kinks.map(|(inputs, switches)| Program::lower(&graph, &inputs, &switches)),
+            kinks,
             scales,
             value_scale,
         }
@@ -182,6 +174,87 @@ impl Equations {
             ceiling: None,
             bounds: Vec::new(),
         }
+    }
+}
+
+/// What variation columns are added to.
+struct Varied {
+    graph: Graph,
+    /// `(y, D, r)`, and their rates.
+    inputs: Vec<Id>,
+    rates: Vec<Id>,
+    /// What stands for the system's inputs.
+    replaced: FxHashMap<Id, Id>,
+    /// -D.
+    backward: Id,
+}
+
+/// Operations of a plain segment up to which the Jacobian is written out.
+const SHORT: usize = 400;
+/// Operations of a program with variations that are not exceeded for more columns.
+const LONGEST: usize = 12_000;
+
+impl Varied {
+    /// The program with variation columns, and how many: of short equations the Jacobian times
+    /// columns, which fit into an integrated vector; of long ones the rates' derivatives along each
+    /// column, a few of which are as long as the equations themselves.
+    fn program(self, system: &System, fitting: usize, plain: usize) -> (usize, Program) {
+        let n = system.states;
+        if plain <= SHORT {
+            return (fitting, self.by_jacobian(system, fitting));
+        }
+        let one = self.along(system, 1);
+        let each = one.operations().saturating_sub(plain).max(1);
+        let most = LONGEST.saturating_sub(plain) / each;
+        let columns = (1..=2 * n).rev().find(|c| (2 * n).is_multiple_of(*c) && *c <= most);
+        match columns {
+            Some(columns) if columns > 1 => (columns, self.along(system, columns)),
+            _ => (1, one),
+        }
+    }
+
+    fn column(graph: &mut Graph, c: usize, count: usize) -> Vec<Id> {
+        (0..count)
+            .map(|i| graph.symbol(&format!("variation {c} {i}"), Kind::State))
+            .collect()
+    }
+
+    fn by_jacobian(&self, system: &System, columns: usize) -> Program {
+        let n = system.states;
+        let (mut graph, mut inputs, mut rates) =
+            (self.graph.clone(), self.inputs.clone(), self.rates.clone());
+        // By column, then transposed.
+        let by_input: Vec<Vec<Id>> = (system.inputs.iter())
+            .map(|x| graph.diff_all(&system.rate[..2 * n], *x))
+            .collect();
+        let entries: Vec<Id> = (0..2 * n)
+            .flat_map(|i| by_input.iter().map(move |c| c[i]))
+            .collect();
+        let jacobian = graph.substitute(&entries, &self.replaced);
+        for c in 0..columns {
+            let column = Self::column(&mut graph, c, 2 * n);
+            for row in jacobian.chunks(2 * n) {
+                let rate = product(&mut graph, row, &column);
+                rates.push(graph.mul(self.backward, rate));
+            }
+            inputs.extend(column);
+        }
+        Program::lower(&graph, &inputs, &rates)
+    }
+
+    fn along(&self, system: &System, columns: usize) -> Program {
+        let n = system.states;
+        let (mut graph, mut inputs, mut rates) =
+            (self.graph.clone(), self.inputs.clone(), self.rates.clone());
+        for c in 0..columns {
+            let column = Self::column(&mut graph, c, 2 * n);
+            let directions = system.inputs.iter().copied().zip(column.iter().copied());
+            let tangents = graph.tangents(&system.rate[..2 * n], &directions.collect());
+            let tangents = graph.substitute(&tangents, &self.replaced);
+            rates.extend(tangents.iter().map(|t| graph.mul(self.backward, *t)));
+            inputs.extend(column);
+        }
+        Program::lower(&graph, &inputs, &rates)
     }
 }
 
