@@ -8,6 +8,7 @@
 //! chapters II to IV; R. Featherstone, Rigid Body Dynamics Algorithms, 2008.
 
 pub mod algebra;
+mod contact;
 mod forward;
 mod inverse;
 mod motion;
@@ -16,6 +17,7 @@ mod system;
 mod tests;
 mod tree;
 
+pub use contact::{Constraint, Held};
 pub use forward::{Accelerations, Articulated, Load, Wrench};
 pub use motion::{Frame, Motion, Point};
 pub use system::{Energy, Link, Mechanism, Named, Posed};

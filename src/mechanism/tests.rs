@@ -1,6 +1,6 @@
 //! The recursions against values by two independent programs (`tests/data/multibody_checks.json`).
 
-use super::{Articulated, Body, Inertia, Joint, Load, Motion, Mount, Tree};
+use super::{Articulated, Body, Constraint, Inertia, Joint, Load, Motion, Mount, Posed, Tree};
 use crate::expr::{Graph, Id, Kind};
 use crate::program::Program;
 use glam::{DMat3, DVec3};
@@ -172,4 +172,122 @@ fn recursions_agree_with_two_other_programs() {
             }
         }
     }
+}
+
+/// The biped of the thesis on one foot, on both, at their impact, and pushed off.
+#[test]
+fn contacts_and_collisions_agree() {
+    let checks = checks();
+    let tree = Arc::new(tree(&checks["systems"]["biped"]["model"]));
+    let biped = &checks["biped"];
+    let count = tree.bodies.len();
+    let mut c = Checked::new(count);
+    let g = &mut c.graph;
+    let posed = Posed::new(g, &tree, &c.q, &c.rates);
+    let articulated = Articulated::new(g, &posed.motion);
+    // The shanks are the bodies 4 and 6.
+    let foot = |shank: usize| {
+        let mount = Mount {
+            body: Some(shank),
+            ..Mount::WORLD
+        };
+        (mount, DVec3::new(0.5, 0.0, 0.0))
+    };
+    let feet = |shanks: &[usize]| -> Vec<Constraint> {
+        let axes = |shank: usize| {
+            [DVec3::X, DVec3::Y].map(|direction| Constraint {
+                name: format!("foot of {shank}"),
+                at: foot(shank),
+                against: None,
+                direction,
+            })
+        };
+        shanks.iter().flat_map(|s| axes(*s)).collect()
+    };
+    let load = Load {
+        joints: c.tau.clone(),
+        ..Load::none(g, count)
+    };
+    let free = articulated.accelerations(g, &load);
+    let [one, both, front] = [&[4][..], &[4, 6], &[6]].map(|shanks| posed.held(g, &articulated, &feet(shanks)));
+    let (standing, pressed) = one.contact(g, &free);
+    let (double, pressed_both) = both.contact(g, &free);
+    let (after, impulses) = both.collision(g, &c.rates);
+    let (after_front, impulse_front) = front.collision(g, &c.rates);
+    let kinetic = posed.kinetic(g);
+    let lambda: Vec<Id> = both.mobility().concat();
+    let swung = posed.point(g, &foot(6).0, foot(6).1).velocity;
+    let stood = posed.point(g, &foot(4).0, foot(4).1).velocity;
+    // Along the lower leg from foot 2 to knee 2, while foot 1 is held.
+    let axis = posed.motion.axes_of(g, &foot(6).0);
+    let up = axis.map(|row| g.neg(row[0]));
+    let pushed = {
+        let size = g.constant(3.0);
+        let force = super::algebra::scale(g, size, up);
+        let arm = posed.point(g, &foot(6).0, foot(6).1).arm;
+        let moment = super::algebra::cross(g, arm, force);
+        let mut load = Load::none(g, count);
+        load.bodies[6] = (moment, force);
+        one.impulse(g, &articulated, &load, &c.rates).0
+    };
+
+    let at = |state: &Value, rates: &str, tau: &str| -> Vec<f64> {
+        let base = &biped["single_support"];
+        let q = if state["q"].is_array() { &state["q"] } else { &base["q"] };
+        let tau = match tau {
+            "" => vec![0.0; count],
+            key => list(&state[key]),
+        };
+        [list(q), list(&state[rates]), tau, vec![0.0; count]].concat()
+    };
+    let state = &biped["single_support"];
+    let here = at(state, "qd", "generalized_force");
+    let check = |what: &str, exprs: &[Id], here: &[f64], wanted: &[f64]| {
+        agrees(what, &c.program(exprs).eval(here), wanted);
+    };
+    check("free", &free.joints, &here, &list(&state["free_acceleration"]));
+    check("standing", &standing, &here, &list(&state["qdd"]));
+    check("force", &pressed, &here, &list(&state["force_on_foot_1"]));
+    check("swung", &swung[..2], &here, &list(&state["foot_2_velocity"]));
+    // The reduced dynamics: hip, torso, hip 2, knee 2.
+    let independent = [0, 1, 2, 5, 6].map(|i| standing[i]);
+    check("reduced", &independent, &here, &list(&state["reduced_acceleration"]));
+
+    let state = &biped["impact_two_feet"];
+    let here = at(state, "qd_before", "");
+    check("after", &after, &here, &list(&state["qd_after"]));
+    check("impulse 1", &impulses[..2], &here, &list(&state["impulse_foot_1"]));
+    check("impulse 2", &impulses[2..], &here, &list(&state["impulse_foot_2"]));
+    check("lambda", &lambda, &here, &list(&state["lambda_inverse"]));
+    check("before", &[kinetic], &here, &list(&state["kinetic_before"]));
+    let settled = c.program(&after).eval(&here);
+    let mut there = here.clone();
+    there[count..2 * count].copy_from_slice(&settled);
+    check("kinetic after", &[kinetic], &there, &list(&state["kinetic_after"]));
+    // Once more it changes nothing.
+    agrees("idempotent", &c.program(&after).eval(&there), &settled);
+
+    let state = &biped["impact_front_foot_only"];
+    check("front", &after_front, &here, &list(&state["qd_after"]));
+    check("front impulse", &impulse_front, &here, &list(&state["impulse_foot_2"]));
+    there[count..2 * count].copy_from_slice(&c.program(&after_front).eval(&here));
+    check("stood", &stood[..2], &there, &list(&state["foot_1_velocity_after"]));
+
+    let state = &biped["double_support"];
+    let tau = by_inputs(&biped["single_support"], &list(&state["u"]));
+    let mut here = at(state, "qd", "");
+    here[2 * count..3 * count].copy_from_slice(&tau);
+    check("double", &double, &here, &list(&state["qdd"]));
+    check("double 1", &pressed_both[..2], &here, &list(&state["force_on_foot_1"]));
+    check("double 2", &pressed_both[2..], &here, &list(&state["force_on_foot_2"]));
+
+    let state = &biped["liftoff_impulse"];
+    let here = at(state, "qd_before", "");
+    check("pushed", &pushed, &here, &list(&state["qd_after"]));
+}
+
+/// Generalized forces of the six torques.
+fn by_inputs(state: &Value, u: &[f64]) -> Vec<f64> {
+    let rows = state["input_matrix"].as_array().unwrap().iter();
+    rows.map(|row| list(row).iter().zip(u).map(|(a, b)| a * b).sum()).collect()
 }
