@@ -555,6 +555,22 @@ impl Graph {
         }
     }
 
+    /// The angle of `(x, y)`, between -pi and pi: `2 atan(y / (sqrt(x^2 + y^2) + x))`, which has no
+    /// value at its cut, y = 0 and x <= 0.
+    pub fn atan2(&mut self, y: Id, x: Id) -> Id {
+        if let (Some(y), Some(x)) = (self.as_constant(y), self.as_constant(x)) {
+            return self.constant(y.atan2(x));
+        }
+        let squares = [x, y].map(|v| self.powi(v, 2));
+        let square = self.sum(&squares);
+        let length = self.unary(Fun::Sqrt, square);
+        let sum = self.add(length, x);
+        let half = self.div(y, sum);
+        let angle = self.unary(Fun::Atan, half);
+        let two = self.constant(2.0);
+        self.mul(two, angle)
+    }
+
     /// Sum of terms; zero for none.
     pub fn sum(&mut self, terms: &[Id]) -> Id {
         let zero = self.constant(0.0);

@@ -23,6 +23,7 @@ mod graph;
 mod hessian;
 mod polynomial;
 mod print;
+mod sensitivity;
 
 pub use deviation::Deviation;
 pub use evaluate::Values;

@@ -5,7 +5,7 @@
 //! direction. With J the Jacobian of all constraints and `L = J M^-1 J'`: contact forces are `-L^-1 (J
 //! q''_free + J' q')`, impulses `-L^-1 J q'`. J has full rank where the constraints are independent.
 
-use super::algebra::{V3, add, constant, cross, dot, neg, sub, transposed_times};
+use super::algebra::{V3, add, constant, cross, dot, neg, scale, sub, transposed_times};
 use super::forward::{Accelerations, Articulated, Load};
 use super::system::Posed;
 use super::{Mount, Point};
@@ -135,6 +135,38 @@ impl Held<'_> {
     pub fn velocities(&self, g: &mut Graph) -> Vec<Id> {
         (self.rows.iter())
             .map(|row| row.along(g, |_, point| point.velocity))
+            .collect()
+    }
+
+    /// Generalized forces that forces along the constraints come to: `J' f`.
+    pub fn generalized(&self, g: &mut Graph, forces: &[Id]) -> Vec<Id> {
+        let mut load = Load::none(g, self.posed.motion.frames.len());
+        for (row, force) in self.rows.iter().zip(forces) {
+            let along = scale(g, *force, row.direction);
+            self.posed.push(g, &mut load, &row.at, along);
+            if let Some(other) = &row.against {
+                let back = neg(g, along);
+                self.posed.push(g, &mut load, other, back);
+            }
+        }
+        self.posed.motion.generalized(g, &load)
+    }
+
+    /// Accelerations along the constraints: what q'' gives, and what velocities add.
+    pub fn accelerations(&self, g: &mut Graph, second: &[Id]) -> Vec<Vec<Id>> {
+        let posed = self.posed;
+        let still = super::algebra::zero(g);
+        let whole = posed.motion.bias_accelerations(g, Some(second), still);
+        let bias = posed.motion.bias_accelerations(g, None, still);
+        (self.rows.iter())
+            .map(|row| {
+                let [whole, bias] = [&whole, &bias].map(|all| {
+                    row.along(g, |g, point| {
+                        (posed.motion).point_acceleration(g, point, all, &posed.orientations)
+                    })
+                });
+                vec![g.sub(whole, bias), bias]
+            })
             .collect()
     }
 

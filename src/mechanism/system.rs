@@ -1,9 +1,10 @@
 //! A mechanism with its symbols and what acts on it: what a scene's `[mechanism]` comes to.
 
 use super::algebra::V3;
-use super::{Articulated, Load, Motion, Mount, Point, Tree};
+use super::{Articulated, Constraint, Load, Motion, Mount, Point, Tree};
 use crate::expr::{Graph, Id};
 use glam::DVec3;
+use rustc_hash::FxHashMap;
 use std::sync::Arc;
 
 /// A body as it was named; it may be part of another one (a fixed joint) or have coordinates of
@@ -32,16 +33,54 @@ pub struct Mechanism {
     pub tree: Arc<Tree>,
     /// Whether it was described in two dimensions.
     pub planar: bool,
-    /// Symbols of the coordinates and their rates, one a body of the tree.
+    /// The coordinates and their rates, one a body of the tree: symbols, or expressions of those of
+    /// others.
     pub q: Vec<Id>,
     pub rates: Vec<Id>,
     pub links: Vec<Link>,
     pub points: Vec<Named>,
     /// Of the joints, springs and dampers included, and of forces at points.
     pub load: Load,
+    /// Directions in which points are held.
+    pub constraints: Vec<Constraint>,
     /// q'', one a body.
     pub second: Vec<Id>,
+    /// Of the constraints.
+    pub forces: Vec<Id>,
     pub energy: Energy,
+}
+
+impl Mechanism {
+    /// The coordinates that are states: those that do not follow from others.
+    pub fn free(&self, g: &Graph) -> Vec<Id> {
+        let all = self.q.iter().copied();
+        all.filter(|q| g.as_symbol(*q).is_some()).collect()
+    }
+
+    /// How the symbols of `free` coordinates and of their rates move.
+    pub fn motion_of(&self, g: &Graph, free: &[Id]) -> FxHashMap<Id, Id> {
+        let mut moving = FxHashMap::default();
+        for (i, q) in self.q.iter().enumerate().filter(|(_, q)| free.contains(q)) {
+            moving.insert(*q, self.rates[i]);
+            if g.as_symbol(self.rates[i]).is_some() {
+                moving.insert(self.rates[i], self.second[i]);
+            }
+        }
+        moving
+    }
+
+    /// A point as if it were held in all directions.
+    pub fn axes(&self, point: &Named) -> Vec<Constraint> {
+        let count = if self.planar { 2 } else { 3 };
+        (DVec3::AXES[..count].iter())
+            .map(|direction| Constraint {
+                name: point.name.clone(),
+                at: (point.mount, point.at),
+                against: None,
+                direction: *direction,
+            })
+            .collect()
+    }
 }
 
 /// Energies.

@@ -152,6 +152,11 @@ impl Reader<'_> {
     }
 }
 
+/// Whether a name may be that of something that follows from a mechanism.
+fn is_of_mechanism(name: &str) -> bool {
+    name.contains('.') || ["kinetic", "potential", "energy"].contains(&name)
+}
+
 impl Walk<'_, '_, '_> {
     /// The node for `ast`; something harmless where there is a problem.
     fn node(&mut self, ast: &Ast<'_>, ids: &[Id]) -> Id {
@@ -160,6 +165,19 @@ impl Walk<'_, '_, '_> {
             Ast::Negate(a) => self.reader.graph.neg(ids[*a]),
             Ast::Binary(op, a, b) => self.reader.graph.binary(*op, ids[*a], ids[*b]),
             Ast::Name(name, span) => self.name(name, span).unwrap_or_else(|| self.substitute()),
+            Ast::Call {
+                function,
+                span,
+                arguments,
+                ..
+            } if *function == "atan2" => match arguments.as_slice() {
+                [y, x] => self.reader.graph.atan2(ids[*y], ids[*x]),
+                given => {
+                    let message = format!("`atan2` takes two arguments, y and x, not {}", given.len());
+                    self.report(span, message, "called here", None);
+                    self.substitute()
+                }
+            },
             Ast::Call {
                 function,
                 name_span,
@@ -263,6 +281,10 @@ impl Walk<'_, '_, '_> {
     fn undeclared(&mut self, name: &str, span: &Range<usize>) -> Option<Id> {
         if name == "pi" {
             return Some(self.reader.graph.constant(std::f64::consts::PI));
+        }
+        if self.reader.no_mechanism && is_of_mechanism(name) {
+            self.broken = true;
+            return None;
         }
         if functions().any(|f| f == name) {
             let message = format!("`{name}` is a function");

@@ -5,6 +5,7 @@ use super::document::Given;
 use super::hints;
 use super::lexer::is_identifier;
 use super::mechanism::Generated;
+use super::parser::{Ast, parse_expression};
 use super::reader::{Reader, Section, Value};
 use super::scope::{Entry, Kinds, Meaning, Role, reserved};
 use crate::diagnostics::Problem;
@@ -273,8 +274,34 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// Builds the definitions in order.
-    pub fn definitions(&mut self, declared: &[Declared<'a>]) {
+    /// The definitions that use what is known only later, by themselves or by others.
+    pub fn late(&self, declared: &[Declared<'a>]) -> Vec<bool> {
+        let mut late: Vec<&str> = Vec::new();
+        let is_quantity = |name: &str| {
+            let entry = self.scope.get(name);
+            entry.is_some_and(|e| e.role == Role::Quantity && e.meaning == Meaning::Later)
+        };
+        declared
+            .iter()
+            .map(|d| {
+                let text = d.value.get_ref().as_str().unwrap_or_default();
+                let tree = parse_expression(text).unwrap_or_default();
+                let is_late = tree.iter().any(|ast| {
+                    matches!(ast, Ast::Name(name, _) if is_quantity(name) || late.contains(name))
+                });
+                if is_late {
+                    late.push(d.name);
+                }
+                is_late
+            })
+            .collect()
+    }
+
+    /// Builds definitions in order.
+    pub fn definitions<'d>(&mut self, declared: impl Iterator<Item = &'d Declared<'a>>)
+    where
+        'a: 'd,
+    {
         for d in declared {
             let what = format!("definition `{}`", shorten(d.name));
             let rule = "everything but definitions further down";

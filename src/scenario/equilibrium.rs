@@ -17,6 +17,8 @@ use rustc_hash::FxHashMap;
 const TOLERANCE: f64 = 1e-9;
 /// What may remain in any case: sin(pi) is 1.2e-16, not 0.
 const ROUNDING: f64 = 1e-14;
+/// Further away than this share of the region's width it is another equilibrium.
+const NEAR: f64 = 0.05;
 /// Points of the region at which terms are looked at.
 pub(super) const POINTS: usize = 16;
 
@@ -237,8 +239,11 @@ impl<'a> Reader<'a> {
         let moved = [rates.len(), unknowns.len()].into_iter().find_map(|free| {
             let symbols: Vec<Id> = unknowns[..free].iter().map(|(id, _)| *id).collect();
             let at: Vec<f64> = given[..free].to_vec();
-            self.root(&rates, &symbols, &at, &widths, values)
-        })?;
+            self.root(&rates, &symbols, &at, (&widths, NEAR), values)
+        });
+        let Some(moved) = moved else {
+            return self.holding(at, scene, &rates, values);
+        };
         let moved: Vec<f64> = (moved.iter().chain(&given[moved.len()..]))
             .copied()
             .collect();
@@ -260,18 +265,43 @@ impl<'a> Reader<'a> {
         ))
     }
 
-    /// Values of `unknowns` next to those given where all of `rates` are 0: Newton's method, with
+    /// The controls, wherever they are, that keep the states where they are, in words.
+    fn holding(
+        &self,
+        at: &Equilibrium,
+        scene: &Scene<'_>,
+        rates: &[Id],
+        values: &FxHashMap<Id, f64>,
+    ) -> Option<String> {
+        let symbols: Vec<Id> = scene.controls.iter().map(|c| c.variable.symbol).collect();
+        let given: Vec<f64> = at.u.iter().map(|p| p.value).collect();
+        let held = self.root(rates, &symbols, &given, (&vec![1.0; given.len()], f64::INFINITY), values)?;
+        let inside = |(c, u): (&Control, &f64)| {
+            c.min.is_none_or(|min| *u > min) && c.max.is_none_or(|max| *u < max)
+        };
+        if !scene.controls.iter().zip(&held).all(inside) {
+            return None;
+        }
+        let written = scene.controls.iter().zip(&held);
+        let written: Vec<String> = written
+            .map(|(control, u)| format!("{} = {u:?}", control.variable.name))
+            .collect();
+        Some(format!(
+            "these states are held by {}; write that, or what it is as an expression (in the cost too, where it stands there)",
+            written.join(", ")
+        ))
+    }
+
+    /// Values of `unknowns`, no further from those given than a share of `widths`, where all of `rates` are 0: Newton's method, with
     /// the shortest step in `widths` where there are more unknowns than equations.
     fn root(
         &self,
         rates: &[Id],
         unknowns: &[Id],
         given: &[f64],
-        widths: &[f64],
+        (widths, nearest): (&[f64], f64),
         values: &FxHashMap<Id, f64>,
     ) -> Option<Vec<f64>> {
-        /// Further away than this share of the width it is another one.
-        const NEAR: f64 = 0.05;
         /// What is left of a value next to 0 is rounding.
         const ZERO: f64 = 1e-13;
         const STEPS: usize = 30;
@@ -310,7 +340,7 @@ impl<'a> Reader<'a> {
                 *value = 0.0;
             }
         }
-        let near = (0..m).all(|j| (point[j] - given[j]).abs() <= NEAR * widths[j]);
+        let near = (0..m).all(|j| (point[j] - given[j]).abs() <= nearest * widths[j]);
         let here = at(&point);
         let solved = rates.iter().all(|f| {
             let (value, size) = sized(&graph, *f, &here);
@@ -417,8 +447,15 @@ pub(super) fn is_zero(value: f64, size: f64) -> bool {
     value.is_finite() && value.abs() <= remainder(size)
 }
 
-/// Value of an expression and the size of the terms that may have cancelled in it.
+/// Nodes above which sizes of terms say nothing: they multiply from node to node.
+const LONG: usize = 300;
+
+/// Value of an expression and the size of the terms that may have cancelled in it: node by node, and
+/// of long expressions, such as a mechanism's, by what its numbers and symbols contribute.
 pub(super) fn sized(graph: &Graph, expr: Id, values: &FxHashMap<Id, f64>) -> (f64, f64) {
+    if graph.reachable(&[expr]).len() > LONG {
+        return graph.sensitivity(expr, values);
+    }
     // A step small enough for the slope, large enough against rounding: near the square root of
     // f64's epsilon.
     const STEP: f64 = 1e-8;

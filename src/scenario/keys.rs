@@ -167,6 +167,14 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                     key("bodies", "a table a body", "", "required", ""),
                     key("points", "a table a point", "", "none", ""),
                     key("forces", "an entry a joint or body", "", "none", ""),
+                    key("contacts", "a table a point", "", "none", "points that are held"),
+                    key(
+                        "dependent",
+                        "an expression a coordinate",
+                        "",
+                        "none",
+                        "coordinates that follow from the others while points are held: they make no states",
+                    ),
                 ],
             },
             SectionKeys {
@@ -253,7 +261,7 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                 name: "mechanism.forces",
                 about: "One entry for each joint or body. A joint (by its coordinate): its force or torque, an expression of\n\
                     parameters, states, controls, disturbances and definitions, affine in controls and disturbances. A body:\n\
-                    a table, or a list of tables, of what acts on it.",
+                    a table of what acts on it. Both: a list of such.",
                 keys: &[],
             },
             SectionKeys {
@@ -265,6 +273,22 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                     key("point", "a point's name", "", "none", "where the force acts: a point of this body"),
                     key("at", "vector", "length", "0", "the same as a place in the body's frame"),
                     key("axes", "`\"world\"` or `\"body\"`", "", "`\"world\"`", "that moment and force are written in"),
+                ],
+            },
+            SectionKeys {
+                name: "mechanism.contacts",
+                about: "One table, `{}` at least, for each point that is held where it is. Expressions may have the force that\n\
+                    holds it, as it acts on the point's body: NAME`.fx`, NAME`.fy`, in space NAME`.fz`, with `along`\n\
+                    NAME`.f` (not in `[mechanism.forces]`).",
+                keys: &[
+                    key("with", "a point's name", "", "the world", "the point of another body that it is held to (a closed chain)"),
+                    key(
+                        "along",
+                        "`\"x\"`, `\"y\"`, `\"z\"` or vector",
+                        "",
+                        "all directions",
+                        "held in this direction of the world alone",
+                    ),
                 ],
             },
             SectionKeys {

@@ -64,6 +64,11 @@ pub(super) struct Reader<'a> {
     /// Values of the parameters.
     pub values: FxHashMap<Id, f64>,
     pub problems: Vec<Problem>,
+    /// Remarks on what is read.
+    pub notes: Vec<String>,
+    /// Something is wrong with the mechanism: what follows from it is not known, which is no further
+    /// problem.
+    pub no_mechanism: bool,
 }
 
 impl<'a> Reader<'a> {
@@ -75,6 +80,8 @@ impl<'a> Reader<'a> {
             scope,
             values: FxHashMap::default(),
             problems: Vec::new(),
+            notes: Vec::new(),
+            no_mechanism: false,
         }
     }
 

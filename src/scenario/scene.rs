@@ -247,7 +247,9 @@ impl<'a> Reader<'a> {
         let symbols = (declared.states.iter())
             .filter_map(|s| Some((s.name, s.symbol?)))
             .collect();
-        self.structure(section, &symbols).map(Some)
+        let structure = self.structure(section, &symbols);
+        self.no_mechanism = structure.is_none();
+        structure.map(Some)
     }
 
     /// The mechanism with its forces, and the rates that follow.
@@ -309,8 +311,12 @@ impl<'a> Reader<'a> {
         let declared = self.declarations(&sections, generated);
         let parameters = self.parameters(&declared.parameters, overrides);
         let structure = self.structure_of(&sections, &declared);
-        self.definitions(&declared.definitions);
+        // Forces may use definitions, and definitions the forces that hold points.
+        let late = self.late(&declared.definitions);
+        let definitions = || declared.definitions.iter().zip(&late);
+        self.definitions(definitions().filter(|(_, late)| !**late).map(|(d, _)| d));
         let moved = self.moved(&sections, structure);
+        self.definitions(definitions().filter(|(_, late)| **late).map(|(d, _)| d));
         let rates = moved.as_ref().map(|m| &m.rates);
         let (posed, notes) = self.posed(&sections, &declared, generated, rates);
         self.require_horizon(root, &sections, &posed.cost);
@@ -352,7 +358,7 @@ impl<'a> Reader<'a> {
             integrator: settings.integrator,
             time_unit: settings.time_unit,
             cost_unit: settings.cost_unit,
-            notes,
+            notes: [std::mem::take(&mut self.notes), notes].concat(),
         })
     }
 

@@ -139,5 +139,5 @@ pub(super) fn reserved() -> impl Iterator<Item = &'static str> {
 
 /// Names of the functions an expression may call.
 pub(super) fn functions() -> impl Iterator<Item = &'static str> {
-    Fun::CALLABLE.iter().map(|(name, _)| *name)
+    (Fun::CALLABLE.iter().map(|(name, _)| *name)).chain(["atan2"])
 }

@@ -22,6 +22,7 @@ mod hard_compressor;
 mod kinks;
 mod local;
 mod malformed;
+mod mechanisms;
 mod off_manifold;
 mod order;
 mod result_file;

@@ -50,6 +50,9 @@ pub enum Command {
     Report(ReportArgs),
     /// Validate a scene and print the derived equations and the local solution.
     Check(CheckArgs),
+    /// The mechanism of a scene at chosen states: mass matrix, forces, accelerations and their
+    /// derivatives, energies, points, contacts.
+    Mechanism(MechanismArgs),
     /// Print the reference of scenes, or of the result file, in Markdown.
     Reference {
         /// What of.
@@ -101,6 +104,16 @@ pub struct PrintArgs {
 pub struct CheckArgs {
     #[command(flatten)]
     pub scene: SceneArgs,
+}
+
+#[derive(Args, Debug, Clone)]
+pub struct MechanismArgs {
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// CSV file of states, controls and disturbances (header: their names; what is missing takes the
+    /// equilibrium's value) [default: the equilibrium, or the middle of the region]
+    #[arg(long, value_name = "FILE")]
+    pub points: Option<PathBuf>,
 }
 
 /// Where and how exactly to integrate.

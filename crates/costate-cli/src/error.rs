@@ -66,6 +66,8 @@ pub enum CliError {
         "--adapter {name}: the CPU is asked for, which has no adapters: leave this out, or give --backend gpu"
     )]
     AdapterOfCpu { name: String },
+    #[error("{path} has no [mechanism]", path = path.display())]
+    NoMechanism { path: PathBuf },
     #[error("V in the file is not the least at {states} states")]
     NotLeast {
         states: usize,

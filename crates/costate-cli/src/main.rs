@@ -11,7 +11,7 @@ use args::Command;
 use clap::Parser;
 #[cfg(feature = "report")]
 use commands::report;
-use commands::{attenuation, bench, check, check_least, evaluate, export, fit, run, study, value};
+use commands::{attenuation, bench, check, check_least, evaluate, export, fit, mechanism, run, study, value};
 use costate::low_level::diagnostics::{printable, unprintable};
 use error::CliError;
 use std::process::ExitCode;
@@ -53,6 +53,7 @@ fn main() -> ExitCode {
         #[cfg(feature = "report")]
         Command::Report(args) => report::report(&args),
         Command::Check(args) => check::check(&args),
+        Command::Mechanism(args) => mechanism::mechanism(&args),
         Command::Reference { what } => check::reference(what),
         Command::Adapters { json } => check::list_adapters(json),
     };

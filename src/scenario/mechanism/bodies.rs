@@ -395,10 +395,25 @@ impl<'a> Reader<'a> {
                 _ => return None,
             }
         };
-        match wrong_with(&tensor) {
-            None => Some(tensor),
-            Some(why) => self.refuse(value.span(), format!("no body has {what}: {why}"), "about the centre of mass"),
+        let size = tensor.to_cols_array().iter().fold(0.0f64, |a, v| a.max(v.abs()));
+        let skew = (tensor - tensor.transpose()).to_cols_array();
+        if skew.iter().any(|v| v.abs() > ROUNDING * size) {
+            let message = format!("no body has {what}: it is not symmetric");
+            return self.refuse(value.span(), message, "about the centre of mass");
         }
+        let [least, middle, most] = principal(&tensor);
+        if least < -ROUNDING * size {
+            let message = format!("no body has {what}: its least moment is {}", plain(least));
+            return self.refuse(value.span(), message, "below 0");
+        }
+        // Models in use have such; their equations are good nevertheless.
+        if most > least + middle + ROUNDING * size {
+            self.notes.push(format!(
+                "no body has {what}: its largest moment {most:.6e} is above the sum of the others, {:.6e}",
+                least + middle
+            ));
+        }
+        Some(tensor)
     }
 
     /// Centre of mass and tensor of a unit mass.
@@ -448,25 +463,10 @@ fn solid(name: &str, sizes: &[f64]) -> (DVec3, DMat3) {
     (DVec3::new(middle, 0.0, 0.0), tensor)
 }
 
-/// Why no body has a tensor of inertia.
-fn wrong_with(tensor: &DMat3) -> Option<String> {
-    let size = tensor.to_cols_array().iter().fold(0.0f64, |a, v| a.max(v.abs()));
-    let skew = (*tensor - tensor.transpose()).to_cols_array();
-    if skew.iter().any(|v| v.abs() > ROUNDING * size) {
-        return Some("it is not symmetric".to_owned());
-    }
+/// Principal moments, the least first.
+fn principal(tensor: &DMat3) -> [f64; 3] {
     let matrix = nalgebra::Matrix3::from_column_slice(&tensor.to_cols_array());
-    let mut moments: Vec<f64> = matrix.symmetric_eigenvalues().iter().copied().collect();
-    moments.sort_by(f64::total_cmp);
-    let [least, middle, most] = moments[..] else { return None };
-    if least < -ROUNDING * size {
-        return Some(format!("its least moment is {}, below 0", plain(least)));
-    }
-    (most > (least + middle) + ROUNDING * size).then(|| {
-        format!(
-            "its largest moment {} is above the sum of the others, {}",
-            plain(most),
-            plain(least + middle)
-        )
-    })
+    let mut moments = matrix.symmetric_eigenvalues();
+    moments.as_mut_slice().sort_by(f64::total_cmp);
+    [moments[0], moments[1], moments[2]]
 }

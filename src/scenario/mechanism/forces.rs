@@ -4,6 +4,7 @@ use crate::diagnostics::{Problem, did_you_mean, shorten};
 use crate::expr::Id;
 use crate::mechanism::algebra::{V3, add, cross, zero};
 use crate::mechanism::{Link, Load, Named, Posed};
+use crate::model::Span;
 use crate::scenario::build::Use;
 use crate::scenario::reader::{Reader, Section, Value};
 use crate::scenario::scope::Kinds;
@@ -43,28 +44,52 @@ impl<'a> Reader<'a> {
         }
         let mut all_good = true;
         for (name, span, value) in section.into_iter().flat_map(|s| s.entries()) {
-            let joint = motion.tree.bodies.iter().position(|b| b.name == name);
-            let link = acted.links.iter().position(|l| l.name == name);
-            let is_table = matches!(value.get_ref(), DeValue::Table(_) | DeValue::Array(_));
-            let done = match (joint, link) {
-                (Some(i), _) if !is_table => self.joint_force(i, name, value, &mut load),
-                (_, Some(link)) if is_table => self.body_forces(link, name, value, acted, &mut load),
-                (None, Some(_)) => {
-                    let message = format!("`{}` has not one coordinate that a force could act along", shorten(name));
-                    self.refuse(span, message, "write { moment = ... } or { point = ..., force = [...] }")
-                }
-                _ => {
-                    let names = motion.tree.bodies.iter().map(|b| b.name.as_str());
-                    let names = names.chain(acted.links.iter().map(|l| l.name.as_str()));
-                    let help = did_you_mean(name, names);
-                    let message = format!("unknown joint or body `{}` in [mechanism.forces]", shorten(name));
-                    self.report(Problem { help, ..Problem::at(span, message, "no such joint") });
-                    None
-                }
+            // One, or a list of several.
+            let all = match value.get_ref() {
+                DeValue::Array(all) => all.iter().collect(),
+                _ => vec![value],
             };
-            all_good &= done.is_some();
+            for one in all {
+                let done = self.one_force((name, &span), one, acted, &mut load);
+                all_good &= done.is_some();
+            }
         }
         all_good.then_some(load)
+    }
+
+    /// A force at a joint (an expression), or on a body (a table).
+    fn one_force(
+        &mut self,
+        (name, span): (&str, &Span),
+        value: &'a Value<'a>,
+        acted: &Acted<'_>,
+        load: &mut Load,
+    ) -> Option<()> {
+        let bodies = &acted.posed.motion.tree.bodies;
+        let joint = bodies.iter().position(|b| b.name == name);
+        let link = acted.links.iter().position(|l| l.name == name);
+        let is_table = matches!(value.get_ref(), DeValue::Table(_));
+        match (joint, link) {
+            (Some(i), _) if !is_table => self.joint_force(i, name, value, load),
+            (_, Some(link)) if is_table => self.body_forces(link, name, value, acted, load),
+            (None, Some(_)) => {
+                let message = format!("`{}` has not one coordinate that a force could act along", shorten(name));
+                let label = "write { moment = ... } or { point = ..., force = [...] }";
+                self.refuse(span.clone(), message, label)
+            }
+            (Some(_), _) => {
+                let message = format!("`{}` is a coordinate, which a force acts along: an expression", shorten(name));
+                self.refuse(value.span(), message, "tables are for bodies")
+            }
+            (None, None) => {
+                let names = bodies.iter().map(|b| b.name.as_str());
+                let names = names.chain(acted.links.iter().map(|l| l.name.as_str()));
+                let help = did_you_mean(name, names);
+                let message = format!("unknown joint or body `{}` in [mechanism.forces]", shorten(name));
+                self.report(Problem { help, ..Problem::at(span.clone(), message, "no such joint") });
+                None
+            }
+        }
     }
 
     fn joint_force(&mut self, i: usize, name: &str, value: &'a Value<'a>, load: &mut Load) -> Option<()> {
@@ -83,7 +108,6 @@ impl<'a> Reader<'a> {
         self.expression(value, &purpose).map(|b| b.expr)
     }
 
-    /// One table, or a list of them.
     fn body_forces(
         &mut self,
         link: usize,
@@ -92,12 +116,6 @@ impl<'a> Reader<'a> {
         acted: &Acted<'_>,
         load: &mut Load,
     ) -> Option<()> {
-        if let DeValue::Array(all) = value.get_ref() {
-            let done: Vec<Option<()>> = (all.iter())
-                .map(|one| self.body_forces(link, name, one, acted, load))
-                .collect();
-            return done.into_iter().collect();
-        }
         let what = format!("the force on body `{}`", shorten(name));
         let table = self.table(value, value.span(), &what)?;
         self.check_keys(&table, "mechanism.forces.body");

@@ -6,6 +6,7 @@
 
 mod assemble;
 mod bodies;
+mod contacts;
 mod forces;
 mod names;
 
@@ -14,10 +15,11 @@ pub(super) use names::{Generated, RATE};
 use super::reader::{Reader, Section};
 use super::scope::{Entry, Kinds, Meaning, Role};
 use crate::diagnostics::{Problem, did_you_mean, shorten};
-use crate::expr::Id;
-use crate::mechanism::{Articulated, Energy, Link, Load, Mechanism, Named, Posed};
+use crate::expr::{Id, Kind};
+use crate::mechanism::{Articulated, Constraint, Energy, Link, Load, Mechanism, Named, Posed};
 use crate::model::{Located, Span};
 use bodies::Spec;
+use contacts::ContactName;
 use forces::Acted;
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -39,6 +41,8 @@ pub(super) struct Structure {
     energy: Energy,
     /// Of the key of the link that makes each body's coordinate.
     spans: Vec<Span>,
+    constraints: Vec<Constraint>,
+    contacts: Vec<ContactName>,
 }
 
 impl<'a> Reader<'a> {
@@ -68,11 +72,24 @@ impl<'a> Reader<'a> {
             return None;
         };
         let tree = Arc::new(assembled.tree);
-        let symbol = |name: String| state.get(name.as_str()).copied();
-        let symbols = |tail: &str| -> Option<Vec<Id>> {
-            (tree.bodies.iter()).map(|b| symbol(format!("{}{tail}", b.name))).collect()
+        let dependent = match section.get("dependent") {
+            Some(value) => {
+                let span = section.key_span("dependent");
+                Some(self.table(value, span, "[mechanism.dependent]")?)
+            }
+            None => None,
         };
-        let (q, rates) = (symbols("")?, symbols(RATE)?);
+        let dependents = self.dependents(dependent.as_ref(), &tree, state)?;
+        let (mut q, mut rates) = (Vec::new(), Vec::new());
+        for body in &tree.bodies {
+            let name = body.name.as_str();
+            let (coordinate, rate) = match dependents.get(name) {
+                Some(pair) => *pair,
+                None => (*state.get(name)?, *state.get(format!("{name}{RATE}").as_str())?),
+            };
+            q.push(coordinate);
+            rates.push(rate);
+        }
         let posed = Posed::new(&mut self.graph, &tree, &q, &rates);
         let spans = assembled.owners.iter().map(|o| specs[*o].span.clone()).collect();
         let mut structure = Structure {
@@ -84,6 +101,8 @@ impl<'a> Reader<'a> {
             posed,
             planar,
             spans,
+            constraints: Vec::new(),
+            contacts: Vec::new(),
         };
         self.check_inertias(&structure)?;
         let points = section.get("points").map(|value| {
@@ -94,6 +113,16 @@ impl<'a> Reader<'a> {
             Some(points) => points?,
             None => Vec::new(),
         };
+        if let Some(value) = section.get("contacts") {
+            let span = section.key_span("contacts");
+            let table = self.table(value, span.clone(), "[mechanism.contacts]")?;
+            let (constraints, names) = self.contacts(&table, &structure.points, planar)?;
+            self.check_contacts(&structure, (&constraints, &span), dependents.len())?;
+            (structure.constraints, structure.contacts) = (constraints, names);
+        } else if let (Some(dependent), false) = (&dependent, dependents.is_empty()) {
+            let message = "coordinates are dependent where points are held: there is no [mechanism.contacts]";
+            return self.refuse(dependent.span.clone(), message, "held by what?");
+        }
         let span = section.span.clone();
         let Energy { kinetic, potential } = structure.energy;
         let energy = self.graph.add(kinetic, potential);
@@ -244,13 +273,38 @@ impl<'a> Reader<'a> {
         );
     }
 
+    /// q'', and the forces of the constraints.
+    fn second(&mut self, structure: &Structure, load: &Load) -> (Vec<Id>, Vec<Id>) {
+        let g = &mut self.graph;
+        let articulated = Articulated::new(g, &structure.posed.motion);
+        let free = articulated.accelerations(g, load);
+        if structure.constraints.is_empty() {
+            return (free.joints, Vec::new());
+        }
+        let held = structure.posed.held(g, &articulated, &structure.constraints);
+        held.contact(g, &free)
+    }
+
+    /// The kinds of symbols that an expression depends on.
+    fn kinds_of(&self, expr: Id) -> Kinds {
+        let symbols = self.graph.reachable(&[expr]).into_iter();
+        symbols.filter_map(|id| self.graph.as_symbol(id)).fold(Kinds::NONE, |kinds, symbol| {
+            kinds.and(match symbol.kind {
+                Kind::Parameter => Kinds::PARAMETER,
+                Kind::Control => Kinds::CONTROL,
+                Kind::Disturbance => Kinds::DISTURBANCE,
+                Kind::State | Kind::Adjoint => Kinds::STATE,
+            })
+        })
+    }
+
     /// The mechanism with its forces, and the rates of its states by name.
     pub(super) fn mechanism(
         &mut self,
         section: &Section<'a>,
         structure: Structure,
     ) -> Option<(Mechanism, FxHashMap<String, Located>)> {
-        let forces = match section.get("forces") {
+        let given = match section.get("forces") {
             Some(value) => Some(self.table(value, section.key_span("forces"), "[mechanism.forces]")?),
             None => None,
         };
@@ -260,9 +314,14 @@ impl<'a> Reader<'a> {
             points: &structure.points,
             planar: structure.planar,
         };
-        let load: Load = self.load(forces.as_ref(), &structure.specs, &structure.owners, &acted)?;
-        let second = structure.posed.accelerations(&mut self.graph, &load);
+        let load: Load = self.load(given.as_ref(), &structure.specs, &structure.owners, &acted)?;
         let motion = &structure.posed.motion;
+        let (second, forces) = self.second(&structure, &load);
+        for contact in &structure.contacts {
+            let expr = forces[contact.constraint];
+            let kinds = self.kinds_of(expr);
+            (self.scope).set(&contact.name, Role::Quantity, Meaning::Known { expr, kinds });
+        }
         let mut rates = FxHashMap::default();
         for (i, body) in motion.tree.bodies.iter().enumerate() {
             let located = |expr: Id| Located {
@@ -279,8 +338,10 @@ impl<'a> Reader<'a> {
             rates: motion.rates.clone(),
             links: structure.links,
             points: structure.points,
+            constraints: structure.constraints,
             load,
             second,
+            forces,
             energy: structure.energy,
         };
         Some((mechanism, rates))

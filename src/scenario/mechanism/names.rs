@@ -82,6 +82,11 @@ impl Generated {
             .and_then(|m| m.get_ref().as_table())
             .and_then(|m| m.get("bodies"))
             .and_then(|b| b.get_ref().as_table());
+        let dependent = (root.get("mechanism"))
+            .and_then(|m| m.get_ref().as_table())
+            .and_then(|m| m.get("dependent"))
+            .and_then(|d| d.get_ref().as_table());
+        let is_dependent = |name: &str| dependent.is_some_and(|d| d.contains_key(name));
         for (key, body) in bodies.into_iter().flat_map(DeTable::iter) {
             let Some(table) = body.get_ref().as_table() else {
                 continue;
@@ -92,8 +97,9 @@ impl Generated {
             let Some((_, kind)) = kind else { continue };
             let chain = table.get("chain").map(|c| whole(c).unwrap_or(0).min(MOST_LINKS));
             for link in links(key.get_ref(), chain) {
-                let all = kind.coordinates().iter();
-                coordinates.extend(all.map(|tail| (format!("{link}{tail}"), key.span())));
+                let all = kind.coordinates().iter().map(|tail| format!("{link}{tail}"));
+                let free = all.filter(|name| !is_dependent(name));
+                coordinates.extend(free.map(|name| (name, key.span())));
             }
         }
         let state = |is_rate: bool| {

@@ -15,7 +15,7 @@ use costate::low_level::{scenario, schema};
 use costate::run;
 use costate::scene::Scene;
 use costate::session::summary::LinearSummary;
-use costate::session::{Equations, Progress, SessionError, at_equilibrium};
+use costate::session::{Equations, MechanismSummary, Progress, SessionError, at_equilibrium};
 use std::io::Write as _;
 
 pub fn check(args: &CheckArgs) -> Result<(), CliError> {
@@ -44,6 +44,7 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
         terminal.note(note);
     }
     let equations = Equations::new(&scene);
+    let mechanism = MechanismSummary::new(&scene);
     let mut out = Printed::new();
     if args.scene.print.json {
         writeln!(
@@ -54,7 +55,8 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
                 hamiltonian,
                 &equations,
                 riccati.as_ref().zip(rest.as_ref()),
-                smallest.as_ref().map(|(_, l)| l)
+                smallest.as_ref().map(|(_, l)| l),
+                mechanism.as_ref()
             )
         )?;
     } else {
@@ -68,6 +70,9 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
                 riccati.as_ref().zip(rest.as_ref())
             )
         )?;
+        if let Some(mechanism) = &mechanism {
+            write!(out, "{}", mechanism_text(mechanism))?;
+        }
         if let Some((asked, linear)) = &smallest {
             let text = text::attenuation::star_text(&asked.parameter, linear);
             writeln!(
@@ -241,12 +246,29 @@ fn local_text(model: &Model, riccati: &Riccati, at: &At) -> Vec<String> {
     lines
 }
 
+/// What the equations of a mechanism are made of, and whether they agree with each other.
+fn mechanism_text(mechanism: &MechanismSummary) -> String {
+    let mut lines = vec![
+        format!("\nMechanism of {} coordinates: {}", mechanism.coordinates.len(), mechanism.coordinates.join(", ")),
+        format!(
+            "  accelerations take {} operations, x' and p' together {}",
+            mechanism.forward_operations, mechanism.characteristic_operations
+        ),
+        "  identities at random states, relative residuals".to_owned(),
+    ];
+    for identity in &mechanism.identities {
+        lines.push(format!("    {}: {:.1e}", identity.name, identity.residual));
+    }
+    lines.join("\n") + "\n"
+}
+
 fn as_json(
     model: &Model,
     h: &Hamiltonian,
     equations: &Equations,
     local: Option<(&Riccati, &At)>,
     smallest: Option<&LinearAttenuation>,
+    mechanism: Option<&MechanismSummary>,
 ) -> serde_json::Value {
     let riccati = local.map(|(riccati, _)| riccati);
     let guard = |(k, guard): (usize, &Guard)| {
@@ -271,6 +293,7 @@ fn as_json(
         "riccati_residual": riccati.map(|r| r.residual),
         "gain": local.map(|(_, at)| &at.gain),
         "guards": h.guards.iter().enumerate().map(guard).collect::<Vec<_>>(),
+        "mechanism": mechanism,
         "attenuation": smallest.map(LinearSummary::from),
         "closed_loop_eigenvalues": riccati.map(|r| r.eigenvalues.iter().map(|e| [e.re, e.im]).collect::<Vec<_>>()),
     })

@@ -8,6 +8,7 @@ pub mod check_least;
 pub mod evaluate;
 pub mod export;
 pub mod fit;
+pub mod mechanism;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod run;
