@@ -59,7 +59,10 @@ fn slopes(graph: &mut Graph, open: Id, x: &[Id]) -> Vec<Id> {
     let forward: Vec<Id> = x.iter().map(|state| graph.diff(open, *state)).collect();
     let operations = |slopes: &[Id]| {
         let reached = graph.reachable(&[&[open], slopes].concat());
-        reached.iter().filter(|id| graph.arguments(**id).next().is_some()).count()
+        reached
+            .iter()
+            .filter(|id| graph.arguments(**id).next().is_some())
+            .count()
     };
     if operations(&reverse) < operations(&forward) {
         reverse

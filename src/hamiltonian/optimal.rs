@@ -82,7 +82,11 @@ fn input_terms(
     let mut problems = Vec::new();
     let seen_affine = graph.degrees(&rates, &symbols);
     let driven = if seen_affine.iter().all(|d| d.is_some_and(|d| d <= 1)) {
-        let terms: Vec<Id> = p.iter().zip(&rates).map(|(p, f)| graph.mul(*p, *f)).collect();
+        let terms: Vec<Id> = p
+            .iter()
+            .zip(&rates)
+            .map(|(p, f)| graph.mul(*p, *f))
+            .collect();
         let power = graph.sum(&terms);
         graph.gradient(power, &symbols)
     } else {
@@ -142,11 +146,7 @@ fn unit(inputs: usize, hits: &[usize]) -> Vec<u8> {
 }
 
 /// `dH/dz = hessian z + gradient`, z = (u, w), of `d(p'f)/dz` and the cost as a polynomial in z.
-fn derivatives(
-    graph: &mut Graph,
-    driven: &[Id],
-    cost: &Polynomial,
-) -> (Vec<Vec<Id>>, Vec<Id>) {
+fn derivatives(graph: &mut Graph, driven: &[Id], cost: &Polynomial) -> (Vec<Vec<Id>>, Vec<Id>) {
     let m = driven.len();
     let zero = graph.constant(0.0);
     let coefficient = |hits: &[usize]| cost.get(&unit(m, hits)).copied().unwrap_or(zero);

@@ -19,7 +19,11 @@ const ROUNDING: f64 = 1e-15;
 pub fn clean(rotation: DMat3) -> DMat3 {
     let entry = |v: f64| {
         let whole = v.round();
-        if (v - whole).abs() < ROUNDING { whole } else { v }
+        if (v - whole).abs() < ROUNDING {
+            whole
+        } else {
+            v
+        }
     };
     DMat3::from_cols_array(&rotation.to_cols_array().map(entry))
 }

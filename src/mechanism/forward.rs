@@ -150,11 +150,17 @@ impl Blocks {
     }
 
     fn of_angular(&self, g: &mut Graph, alpha: V3) -> Wrench {
-        (times(g, &self.a, alpha), transposed_times(g, &self.b, alpha))
+        (
+            times(g, &self.a, alpha),
+            transposed_times(g, &self.b, alpha),
+        )
     }
 
     fn of_linear(&self, g: &mut Graph, acceleration: V3) -> Wrench {
-        (times(g, &self.b, acceleration), times(g, &self.c, acceleration))
+        (
+            times(g, &self.b, acceleration),
+            times(g, &self.c, acceleration),
+        )
     }
 }
 
@@ -185,10 +191,13 @@ impl<'m> Articulated<'m> {
             let inertia = g.add(own_inertia, rotor);
             let one = g.constant(1.0);
             let inverse = g.div(one, inertia);
-            let own = frame.aligned.filter(|_| body.rotor == 0.0).map(|(k, sign)| {
-                let first = if body.joint == Joint::Prismatic { 3 } else { 0 };
-                (first + k, sign)
-            });
+            let own = frame
+                .aligned
+                .filter(|_| body.rotor == 0.0)
+                .map(|(k, sign)| {
+                    let first = if body.joint == Joint::Prismatic { 3 } else { 0 };
+                    (first + k, sign)
+                });
             let left = whole.without(g, carried, inverse, own.map(|(k, _)| k));
             let turned = left.turned(g, &frame.turn);
             if let Some(p) = body.parent {
@@ -267,7 +276,11 @@ impl<'m> Articulated<'m> {
             let passed = (scale(g, share, t), scale(g, share, f));
             let mut wrench = add_wrench(g, wrenches[i], passed);
             if let Some((k, sign)) = joint.own {
-                let own = if sign < 0.0 { g.neg(forces[i]) } else { forces[i] };
+                let own = if sign < 0.0 {
+                    g.neg(forces[i])
+                } else {
+                    forces[i]
+                };
                 match k {
                     0..3 => wrench.0[k] = own,
                     _ => wrench.1[k - 3] = own,
@@ -277,7 +290,10 @@ impl<'m> Articulated<'m> {
                 let needed = joint.left.of_angular(g, biases[i].0);
                 wrench = add_wrench(g, wrench, needed);
             }
-            let mut wrench = (rotate(g, &frame.turn, wrench.0), rotate(g, &frame.turn, wrench.1));
+            let mut wrench = (
+                rotate(g, &frame.turn, wrench.0),
+                rotate(g, &frame.turn, wrench.1),
+            );
             if let Some(biases) = biases {
                 let needed = joint.turned.of_linear(g, biases[i].1);
                 wrench = add_wrench(g, wrench, needed);
@@ -305,7 +321,10 @@ impl<'m> Articulated<'m> {
             if let Some(biases) = biases {
                 angular = add(g, angular, biases[i].0);
             }
-            let (x, y) = (dot(g, joint.carried.0, angular), dot(g, joint.carried.1, linear));
+            let (x, y) = (
+                dot(g, joint.carried.0, angular),
+                dot(g, joint.carried.1, linear),
+            );
             let carried = g.add(x, y);
             let left = driving[i].map_or(carried, |left| g.sub(left, carried));
             let own = g.mul(joint.inverse, left);

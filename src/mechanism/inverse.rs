@@ -126,7 +126,9 @@ impl Motion {
         .at_rest(g);
         (0..count)
             .map(|j| {
-                let unit: Vec<Id> = (0..count).map(|i| if i == j { one } else { none }).collect();
+                let unit: Vec<Id> = (0..count)
+                    .map(|i| if i == j { one } else { none })
+                    .collect();
                 still.joint_forces(g, Some(&unit), false, None)
             })
             .collect()

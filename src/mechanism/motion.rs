@@ -176,7 +176,11 @@ impl Motion {
                 (2, 1.0, DMat3::from_quat(arc))
             }
         };
-        let own = if sign < 0.0 { g.neg(self.q[i]) } else { self.q[i] };
+        let own = if sign < 0.0 {
+            g.neg(self.q[i])
+        } else {
+            self.q[i]
+        };
         let direction = constant(g, DVec3::AXES[about] * sign);
         let aligned = Some((about, sign));
         let constant = clean(levelled.transpose() * joint);
@@ -186,7 +190,12 @@ impl Motion {
             && levelled == DMat3::IDENTITY
         {
             let turned = Some((k, g.add(angle, own)));
-            return (Vec::new(), Attitude { turned, constant }, direction, aligned);
+            return (
+                Vec::new(),
+                Attitude { turned, constant },
+                direction,
+                aligned,
+            );
         }
         if levelled != DMat3::IDENTITY {
             turn.push(Turn::Constant(levelled));
@@ -207,7 +216,9 @@ impl Motion {
     /// turn the working axes with it.
     fn turns_alone(&self, i: usize) -> bool {
         let axis = self.tree.bodies[i].axis;
-        let mut children = (self.tree.bodies.iter()).filter(|b| b.parent == Some(i)).peekable();
+        let mut children = (self.tree.bodies.iter())
+            .filter(|b| b.parent == Some(i))
+            .peekable();
         children.peek().is_some()
             && !children.any(|child| {
                 child.joint == Joint::Revolute
@@ -461,5 +472,8 @@ fn coordinate_axis(axis: DVec3) -> Option<(usize, f64)> {
 fn clean_vector(v: DVec3) -> DVec3 {
     const ROUNDING: f64 = 1e-15;
     let size = v.length();
-    DVec3::from_array(v.to_array().map(|c| if c.abs() < ROUNDING * size { 0.0 } else { c }))
+    DVec3::from_array(
+        v.to_array()
+            .map(|c| if c.abs() < ROUNDING * size { 0.0 } else { c }),
+    )
 }

@@ -121,12 +121,18 @@ fn recursions_agree_with_two_other_programs() {
         let velocities = motion.velocities(g);
         let kinetic = motion.kinetic(g, &velocities);
         let potential = motion.potential(g, &orientations, &origins);
-        let terms: Vec<Id> = (c.p.iter().zip(&second)).map(|(p, a)| g.mul(*p, *a)).collect();
+        let terms: Vec<Id> = (c.p.iter().zip(&second))
+            .map(|(p, a)| g.mul(*p, *a))
+            .collect();
         let power = g.sum(&terms);
         let adjoint_q = g.gradient(power, &c.q);
         let adjoint_v = g.gradient(power, &c.rates);
         let by_q: Vec<Id> = c.q.iter().flat_map(|q| g.diff_all(&second, *q)).collect();
-        let by_v: Vec<Id> = c.rates.iter().flat_map(|v| g.diff_all(&second, *v)).collect();
+        let by_v: Vec<Id> = c
+            .rates
+            .iter()
+            .flat_map(|v| g.diff_all(&second, *v))
+            .collect();
         let by_tau: Vec<Id> = c.tau.iter().flat_map(|t| g.diff_all(&second, *t)).collect();
         let tip = &system["states"][0]["tip"];
         let body = tip["body"].as_u64().unwrap() as usize;
@@ -134,7 +140,12 @@ fn recursions_agree_with_two_other_programs() {
             body: Some(body),
             ..Mount::WORLD
         };
-        let point = motion.point(g, &mount, vector(&tip["offset"]), (&orientations, &origins, &velocities));
+        let point = motion.point(
+            g,
+            &mount,
+            vector(&tip["offset"]),
+            (&orientations, &origins, &velocities),
+        );
         let tip_bias = motion.point_bias(g, &point, &orientations);
 
         let named = [
@@ -154,20 +165,37 @@ fn recursions_agree_with_two_other_programs() {
         let columns = [("dqdd_dq", by_q), ("dqdd_dqd", by_v)];
         let forward = c.program(&second).operations();
         let mut roots = second.clone();
-        roots.extend(named.iter().filter(|(n, _)| n.starts_with("adjoint")).flat_map(|(_, v)| v.clone()));
-        println!("{name}: q'' {forward} operations, with its adjoint product {}", c.program(&roots).operations());
+        roots.extend(
+            named
+                .iter()
+                .filter(|(n, _)| n.starts_with("adjoint"))
+                .flat_map(|(_, v)| v.clone()),
+        );
+        println!(
+            "{name}: q'' {forward} operations, with its adjoint product {}",
+            c.program(&roots).operations()
+        );
         for state in system["states"].as_array().unwrap() {
-            let at: Vec<f64> = ["q", "qd", "tau", "p2"].iter().flat_map(|k| list(&state[k])).collect();
+            let at: Vec<f64> = ["q", "qd", "tau", "p2"]
+                .iter()
+                .flat_map(|k| list(&state[k]))
+                .collect();
             for (key, exprs) in &named {
                 let wanted = match key.strip_prefix("tip.") {
                     Some(of_tip) => &state["tip"][of_tip],
                     None => &state[*key],
                 };
-                agrees(&format!("{name} {key}"), &c.program(exprs).eval(&at), &list(wanted));
+                agrees(
+                    &format!("{name} {key}"),
+                    &c.program(exprs).eval(&at),
+                    &list(wanted),
+                );
             }
             for (key, exprs) in &columns {
                 let found = c.program(exprs).eval(&at);
-                let rows: Vec<f64> = (0..count * count).map(|k| found[k % count * count + k / count]).collect();
+                let rows: Vec<f64> = (0..count * count)
+                    .map(|k| found[k % count * count + k / count])
+                    .collect();
                 agrees(&format!("{name} {key}"), &rows, &list(&state[*key]));
             }
         }
@@ -209,7 +237,8 @@ fn contacts_and_collisions_agree() {
         ..Load::none(g, count)
     };
     let free = articulated.accelerations(g, &load);
-    let [one, both, front] = [&[4][..], &[4, 6], &[6]].map(|shanks| posed.held(g, &articulated, &feet(shanks)));
+    let [one, both, front] =
+        [&[4][..], &[4, 6], &[6]].map(|shanks| posed.held(g, &articulated, &feet(shanks)));
     let (standing, pressed) = one.contact(g, &free);
     let (double, pressed_both) = both.contact(g, &free);
     let (after, impulses) = both.collision(g, &c.rates);
@@ -233,7 +262,11 @@ fn contacts_and_collisions_agree() {
 
     let at = |state: &Value, rates: &str, tau: &str| -> Vec<f64> {
         let base = &biped["single_support"];
-        let q = if state["q"].is_array() { &state["q"] } else { &base["q"] };
+        let q = if state["q"].is_array() {
+            &state["q"]
+        } else {
+            &base["q"]
+        };
         let tau = match tau {
             "" => vec![0.0; count],
             key => list(&state[key]),
@@ -245,41 +278,91 @@ fn contacts_and_collisions_agree() {
     let check = |what: &str, exprs: &[Id], here: &[f64], wanted: &[f64]| {
         agrees(what, &c.program(exprs).eval(here), wanted);
     };
-    check("free", &free.joints, &here, &list(&state["free_acceleration"]));
+    check(
+        "free",
+        &free.joints,
+        &here,
+        &list(&state["free_acceleration"]),
+    );
     check("standing", &standing, &here, &list(&state["qdd"]));
     check("force", &pressed, &here, &list(&state["force_on_foot_1"]));
-    check("swung", &swung[..2], &here, &list(&state["foot_2_velocity"]));
+    check(
+        "swung",
+        &swung[..2],
+        &here,
+        &list(&state["foot_2_velocity"]),
+    );
     // The reduced dynamics: hip, torso, hip 2, knee 2.
     let independent = [0, 1, 2, 5, 6].map(|i| standing[i]);
-    check("reduced", &independent, &here, &list(&state["reduced_acceleration"]));
+    check(
+        "reduced",
+        &independent,
+        &here,
+        &list(&state["reduced_acceleration"]),
+    );
 
     let state = &biped["impact_two_feet"];
     let here = at(state, "qd_before", "");
     check("after", &after, &here, &list(&state["qd_after"]));
-    check("impulse 1", &impulses[..2], &here, &list(&state["impulse_foot_1"]));
-    check("impulse 2", &impulses[2..], &here, &list(&state["impulse_foot_2"]));
+    check(
+        "impulse 1",
+        &impulses[..2],
+        &here,
+        &list(&state["impulse_foot_1"]),
+    );
+    check(
+        "impulse 2",
+        &impulses[2..],
+        &here,
+        &list(&state["impulse_foot_2"]),
+    );
     check("lambda", &lambda, &here, &list(&state["lambda_inverse"]));
     check("before", &[kinetic], &here, &list(&state["kinetic_before"]));
     let settled = c.program(&after).eval(&here);
     let mut there = here.clone();
     there[count..2 * count].copy_from_slice(&settled);
-    check("kinetic after", &[kinetic], &there, &list(&state["kinetic_after"]));
+    check(
+        "kinetic after",
+        &[kinetic],
+        &there,
+        &list(&state["kinetic_after"]),
+    );
     // Once more it changes nothing.
     agrees("idempotent", &c.program(&after).eval(&there), &settled);
 
     let state = &biped["impact_front_foot_only"];
     check("front", &after_front, &here, &list(&state["qd_after"]));
-    check("front impulse", &impulse_front, &here, &list(&state["impulse_foot_2"]));
+    check(
+        "front impulse",
+        &impulse_front,
+        &here,
+        &list(&state["impulse_foot_2"]),
+    );
     there[count..2 * count].copy_from_slice(&c.program(&after_front).eval(&here));
-    check("stood", &stood[..2], &there, &list(&state["foot_1_velocity_after"]));
+    check(
+        "stood",
+        &stood[..2],
+        &there,
+        &list(&state["foot_1_velocity_after"]),
+    );
 
     let state = &biped["double_support"];
     let tau = by_inputs(&biped["single_support"], &list(&state["u"]));
     let mut here = at(state, "qd", "");
     here[2 * count..3 * count].copy_from_slice(&tau);
     check("double", &double, &here, &list(&state["qdd"]));
-    check("double 1", &pressed_both[..2], &here, &list(&state["force_on_foot_1"]));
-    check("double 2", &pressed_both[2..], &here, &list(&state["force_on_foot_2"]));
+    check(
+        "double 1",
+        &pressed_both[..2],
+        &here,
+        &list(&state["force_on_foot_1"]),
+    );
+    check(
+        "double 2",
+        &pressed_both[2..],
+        &here,
+        &list(&state["force_on_foot_2"]),
+    );
 
     let state = &biped["liftoff_impulse"];
     let here = at(state, "qd_before", "");
@@ -289,5 +372,6 @@ fn contacts_and_collisions_agree() {
 /// Generalized forces of the six torques.
 fn by_inputs(state: &Value, u: &[f64]) -> Vec<f64> {
     let rows = state["input_matrix"].as_array().unwrap().iter();
-    rows.map(|row| list(row).iter().zip(u).map(|(a, b)| a * b).sum()).collect()
+    rows.map(|row| list(row).iter().zip(u).map(|(a, b)| a * b).sum())
+        .collect()
 }

@@ -173,7 +173,8 @@ impl Walk<'_, '_, '_> {
             } if *function == "atan2" => match arguments.as_slice() {
                 [y, x] => self.reader.graph.atan2(ids[*y], ids[*x]),
                 given => {
-                    let message = format!("`atan2` takes two arguments, y and x, not {}", given.len());
+                    let message =
+                        format!("`atan2` takes two arguments, y and x, not {}", given.len());
                     self.report(span, message, "called here", None);
                     self.substitute()
                 }

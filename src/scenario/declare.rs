@@ -64,7 +64,8 @@ impl<'a> Reader<'a> {
     ) -> Vec<Declared<'a>> {
         let mut declared = Vec::new();
         for state in &generated.states {
-            let described = section.and_then(|s| Some((s.key_span(&state.name), s.get(&state.name)?)));
+            let described =
+                section.and_then(|s| Some((s.key_span(&state.name), s.get(&state.name)?)));
             let (span, value) = match described {
                 Some((span, value)) => (span, value),
                 None => (state.span.clone(), &generated.empty),

@@ -81,7 +81,10 @@ impl<'a> Reader<'a> {
             let value = section.and_then(|s| s.get(state.name));
             if let Some(rate) = given.get(state.name) {
                 if let Some(value) = value {
-                    let message = format!("the rate of `{}` follows from the mechanism", shorten(state.name));
+                    let message = format!(
+                        "the rate of `{}` follows from the mechanism",
+                        shorten(state.name)
+                    );
                     let problem = Problem::at(value.span(), message, "remove this");
                     self.report(problem.with_help("forces are written in [mechanism.forces]"));
                 }

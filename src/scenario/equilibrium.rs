@@ -275,7 +275,13 @@ impl<'a> Reader<'a> {
     ) -> Option<String> {
         let symbols: Vec<Id> = scene.controls.iter().map(|c| c.variable.symbol).collect();
         let given: Vec<f64> = at.u.iter().map(|p| p.value).collect();
-        let held = self.root(rates, &symbols, &given, (&vec![1.0; given.len()], f64::INFINITY), values)?;
+        let held = self.root(
+            rates,
+            &symbols,
+            &given,
+            (&vec![1.0; given.len()], f64::INFINITY),
+            values,
+        )?;
         let inside = |(c, u): (&Control, &f64)| {
             c.min.is_none_or(|min| *u > min) && c.max.is_none_or(|max| *u < max)
         };

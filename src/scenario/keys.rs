@@ -167,7 +167,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                     key("bodies", "a table a body", "", "required", ""),
                     key("points", "a table a point", "", "none", ""),
                     key("forces", "an entry a joint or body", "", "none", ""),
-                    key("contacts", "a table a point", "", "none", "points that are held"),
+                    key(
+                        "contacts",
+                        "a table a point",
+                        "",
+                        "none",
+                        "points that are held",
+                    ),
                     key(
                         "dependent",
                         "an expression a coordinate",
@@ -190,7 +196,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "required",
                         "how it moves against its parent. Coordinates: NAME; NAME; NAME`_x`, NAME`_y`, NAME; NAME`_yaw`, NAME`_pitch`, NAME`_roll` (turns about z, y, x in this order); NAME`_x`, `_y`, `_z` and the three angles; none",
                     ),
-                    key("parent", "a body's name, or `\"world\"`", "", "`\"world\"`", ""),
+                    key(
+                        "parent",
+                        "a body's name, or `\"world\"`",
+                        "",
+                        "`\"world\"`",
+                        "",
+                    ),
                     key(
                         "at",
                         "vector",
@@ -198,7 +210,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "0",
                         "place of the joint in the parent's frame; in a chain of all links after the first",
                     ),
-                    key("start", "vector", "length", "0", "of a chain: place of the first link's joint"),
+                    key(
+                        "start",
+                        "vector",
+                        "length",
+                        "0",
+                        "of a chain: place of the first link's joint",
+                    ),
                     key(
                         "rotation",
                         "angle; in space three rows",
@@ -221,7 +239,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "of a revolute or prismatic joint, in the joint's frame",
                     ),
                     key("mass", "number from 0", "mass", "0", ""),
-                    key("com", "vector", "length", "0, or the shape's", "centre of mass, in the body's frame (the joint's, moved)"),
+                    key(
+                        "com",
+                        "vector",
+                        "length",
+                        "0, or the shape's",
+                        "centre of mass, in the body's frame (the joint's, moved)",
+                    ),
                     key(
                         "inertia",
                         "planar: number; else [xx, yy, zz], [xx, xy, xz, yy, yz, zz] or three rows",
@@ -229,12 +253,48 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "0",
                         "about the centre of mass, along the body's axes",
                     ),
-                    key("shape", "a table", "", "none", "com and inertia of a solid of uniform density"),
-                    key("damping", "number from 0", "force by rate", "0", "at the joint: -damping times the rate"),
-                    key("spring", "number", "force by coordinate", "0", "at the joint: -spring times (the coordinate - rest)"),
-                    key("rest", "number", "the coordinate's", "0", "where the spring has no force"),
-                    key("rotor", "number from 0", "inertia of the coordinate", "0", "inertia of a motor as the joint feels it (by the gear ratio squared)"),
-                    key("chain", "whole number from 1 to 200", "1", "none", "so many links NAME1, NAME2, ..., each on the one before"),
+                    key(
+                        "shape",
+                        "a table",
+                        "",
+                        "none",
+                        "com and inertia of a solid of uniform density",
+                    ),
+                    key(
+                        "damping",
+                        "number from 0",
+                        "force by rate",
+                        "0",
+                        "at the joint: -damping times the rate",
+                    ),
+                    key(
+                        "spring",
+                        "number",
+                        "force by coordinate",
+                        "0",
+                        "at the joint: -spring times (the coordinate - rest)",
+                    ),
+                    key(
+                        "rest",
+                        "number",
+                        "the coordinate's",
+                        "0",
+                        "where the spring has no force",
+                    ),
+                    key(
+                        "rotor",
+                        "number from 0",
+                        "inertia of the coordinate",
+                        "0",
+                        "inertia of a motor as the joint feels it (by the gear ratio squared)",
+                    ),
+                    key(
+                        "chain",
+                        "whole number from 1 to 200",
+                        "1",
+                        "none",
+                        "so many links NAME1, NAME2, ..., each on the one before",
+                    ),
                 ],
             },
             SectionKeys {
@@ -243,9 +303,21 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                 keys: &[
                     key("rod", "number > 0", "length", "", "thin, of this length"),
                     key("cylinder", "[length, radius]", "length", "", ""),
-                    key("ellipsoid", "[length, radius] or [x, y, z]", "length", "", "its axes from end to end"),
+                    key(
+                        "ellipsoid",
+                        "[length, radius] or [x, y, z]",
+                        "length",
+                        "",
+                        "its axes from end to end",
+                    ),
                     key("box", "[x, y, z]", "length", "", "its edges"),
-                    key("sphere", "number > 0", "length", "", "of this radius, about the joint"),
+                    key(
+                        "sphere",
+                        "number > 0",
+                        "length",
+                        "",
+                        "of this radius, about the joint",
+                    ),
                 ],
             },
             SectionKeys {
@@ -253,7 +325,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                 about: "One table for each point. Expressions may have its place and velocity in the world: NAME`.x`,\n\
                     NAME`.y`, NAME`.vx`, NAME`.vy`, in space NAME`.z`, NAME`.vz`.",
                 keys: &[
-                    key("body", "a body's name, or `\"world\"`", "", "`\"world\"`", ""),
+                    key(
+                        "body",
+                        "a body's name, or `\"world\"`",
+                        "",
+                        "`\"world\"`",
+                        "",
+                    ),
                     key("at", "vector", "length", "0", "in the body's frame"),
                 ],
             },
@@ -270,9 +348,27 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                 keys: &[
                     key("moment", "expression; in space three", "", "none", ""),
                     key("force", "two or three expressions", "", "none", ""),
-                    key("point", "a point's name", "", "none", "where the force acts: a point of this body"),
-                    key("at", "vector", "length", "0", "the same as a place in the body's frame"),
-                    key("axes", "`\"world\"` or `\"body\"`", "", "`\"world\"`", "that moment and force are written in"),
+                    key(
+                        "point",
+                        "a point's name",
+                        "",
+                        "none",
+                        "where the force acts: a point of this body",
+                    ),
+                    key(
+                        "at",
+                        "vector",
+                        "length",
+                        "0",
+                        "the same as a place in the body's frame",
+                    ),
+                    key(
+                        "axes",
+                        "`\"world\"` or `\"body\"`",
+                        "",
+                        "`\"world\"`",
+                        "that moment and force are written in",
+                    ),
                 ],
             },
             SectionKeys {
@@ -281,7 +377,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                     holds it, as it acts on the point's body: NAME`.fx`, NAME`.fy`, in space NAME`.fz`, with `along`\n\
                     NAME`.f` (not in `[mechanism.forces]`).",
                 keys: &[
-                    key("with", "a point's name", "", "the world", "the point of another body that it is held to (a closed chain)"),
+                    key(
+                        "with",
+                        "a point's name",
+                        "",
+                        "the world",
+                        "the point of another body that it is held to (a closed chain)",
+                    ),
                     key(
                         "along",
                         "`\"x\"`, `\"y\"`, `\"z\"` or vector",

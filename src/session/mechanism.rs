@@ -148,9 +148,12 @@ impl<'s> MechanismAt<'s> {
         let controls: Vec<Id> = model.controls.iter().map(|c| c.variable.symbol).collect();
         let disturbances: Vec<Id> = model.disturbances.iter().map(|w| w.symbol).collect();
         let by = |g: &mut Graph, symbols: &[Id]| -> Vec<Id> {
-            let columns: Vec<Vec<Id>> =
-                (symbols.iter()).map(|s| g.diff_all(&mechanism.second, *s)).collect();
-            (0..count).flat_map(|i| columns.iter().map(move |c| c[i])).collect()
+            let columns: Vec<Vec<Id>> = (symbols.iter())
+                .map(|s| g.diff_all(&mechanism.second, *s))
+                .collect();
+            (0..count)
+                .flat_map(|i| columns.iter().map(move |c| c[i]))
+                .collect()
         };
 
         let held = posed.held(g, &articulated, &mechanism.constraints);
@@ -214,7 +217,8 @@ impl<'s> MechanismAt<'s> {
         let (bias, gravity, forces, accelerations) = (next(), next(), next(), next());
         let [by_q, by_q_rate, by_control, by_disturbance] = [next(), next(), next(), next()];
         let (energies, points) = (next(), next());
-        let (held, impulses, velocities, after, mobility) = (next(), next(), next(), next(), next());
+        let (held, impulses, velocities, after, mobility) =
+            (next(), next(), next(), next(), next());
         let columns = |flat: &[f64]| flat.len() / count;
         let of_point = 9 + dimensions * dimensions;
         MechanismState {
@@ -257,7 +261,9 @@ impl<'s> MechanismAt<'s> {
     /// Names of the coordinates, one a body of the tree.
     #[must_use]
     pub fn coordinates(&self) -> Vec<String> {
-        (self.mechanism.tree.bodies.iter()).map(|b| b.name.clone()).collect()
+        (self.mechanism.tree.bodies.iter())
+            .map(|b| b.name.clone())
+            .collect()
     }
 
     /// The scene's states, controls and disturbances, in the order of [`Self::at`].
@@ -284,7 +290,12 @@ impl MechanismSummary {
         let characteristics = lower(&mut graph, model, &symbols, &rates);
         let forward = lower(&mut graph, model, &inputs(model), &mechanism.second);
         Some(Self {
-            coordinates: mechanism.tree.bodies.iter().map(|b| b.name.clone()).collect(),
+            coordinates: mechanism
+                .tree
+                .bodies
+                .iter()
+                .map(|b| b.name.clone())
+                .collect(),
             forward_operations: forward.operations(),
             characteristic_operations: characteristics.operations(),
             identities: identities(model, mechanism),
@@ -320,7 +331,9 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     for i in 0..second.len() {
         let (given, of_contacts) = (g.neg(acting[i]), g.neg(through[i]));
         inverse.push(vec![needed[i], given, of_contacts]);
-        let mut terms: Vec<Id> = (mass[i].iter().zip(second)).map(|(m, a)| g.mul(*m, *a)).collect();
+        let mut terms: Vec<Id> = (mass[i].iter().zip(second))
+            .map(|(m, a)| g.mul(*m, *a))
+            .collect();
         terms.extend([bias[i], given, of_contacts]);
         composite.push(terms);
     }
@@ -360,10 +373,53 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
             name: "accelerations of held points are 0",
             places: held.accelerations(g, second),
         });
+        // A collision: M dq' = J' impulse, all held points at rest after it, and the energy that is
+        // lost is that of dq'.
+        let (after, impulses) = held.collision(g, &mechanism.rates);
+        let change: Vec<Id> = (after.iter().zip(&mechanism.rates))
+            .map(|(after, before)| g.sub(*after, *before))
+            .collect();
+        let through = held.generalized(g, &impulses);
+        let momentum: Vec<Vec<Id>> = (0..change.len())
+            .map(|i| {
+                let mut terms: Vec<Id> = (mass[i].iter().zip(&change))
+                    .map(|(m, v)| g.mul(*m, *v))
+                    .collect();
+                terms.push(g.neg(through[i]));
+                terms
+            })
+            .collect();
+        sums.push(Sum {
+            name: "M dq' = J' impulse at a collision",
+            places: momentum,
+        });
+        let settled = Posed::new(g, &mechanism.tree, &mechanism.q, &after);
+        let of_change = Posed::new(g, &mechanism.tree, &mechanism.q, &change);
+        let still = Articulated::new(g, &settled.motion);
+        let rest = settled
+            .held(g, &still, &mechanism.constraints)
+            .velocities(g);
+        let before = held.velocities(g);
+        sums.push(Sum {
+            name: "held points are at rest after a collision",
+            places: (rest.iter().zip(&before))
+                .map(|(rest, before)| vec![g.sub(*rest, *before), *before])
+                .collect(),
+        });
+        let kinetic = posed.kinetic(g);
+        let (left, lost) = (settled.kinetic(g), of_change.kinetic(g));
+        sums.push(Sum {
+            name: "kinetic energy lost = 1/2 dq'.M dq'",
+            places: vec![vec![kinetic, g.neg(left), g.neg(lost)]],
+        });
     }
     // The gradient in reverse against tangents forward.
-    let weights: Vec<Id> = (0..second.len()).map(|i| g.constant(1.0 + i as f64 * 0.25)).collect();
-    let products: Vec<Id> = (weights.iter().zip(second)).map(|(p, a)| g.mul(*p, *a)).collect();
+    let weights: Vec<Id> = (0..second.len())
+        .map(|i| g.constant(1.0 + i as f64 * 0.25))
+        .collect();
+    let products: Vec<Id> = (weights.iter().zip(second))
+        .map(|(p, a)| g.mul(*p, *a))
+        .collect();
     let product = g.sum(&products);
     let symbols: Vec<Id> = moving.keys().copied().collect();
     let gradient = g.gradient(product, &symbols);
@@ -377,7 +433,10 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
         places: vec![terms],
     });
 
-    let lengths: Vec<Vec<usize>> = sums.iter().map(|s| s.places.iter().map(Vec::len).collect()).collect();
+    let lengths: Vec<Vec<usize>> = sums
+        .iter()
+        .map(|s| s.places.iter().map(Vec::len).collect())
+        .collect();
     let outputs: Vec<Id> = sums.iter().flat_map(|s| s.places.concat()).collect();
     let symbols = inputs(model);
     let program = lower(g, model, &symbols, &outputs);
@@ -409,4 +468,3 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
         })
         .collect()
 }
-

@@ -17,8 +17,10 @@ pub use error::SessionError;
 pub use estimates::Estimates;
 pub use laws::{FitData, fit_laws};
 pub use least::LeastOptions;
-pub use mechanism::{ContactState, Identity, MechanismAt, MechanismState, MechanismSummary, PointState};
 pub use loops::{LoopOptions, Sources, same_problem};
+pub use mechanism::{
+    ContactState, Identity, MechanismAt, MechanismState, MechanismSummary, PointState,
+};
 pub use pass::{Outcome, Pass, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
 pub use wanted::{Kept, Listed, States, Wanted};

@@ -206,7 +206,9 @@ impl Varied {
         let one = self.along(system, 1);
         let each = one.operations().saturating_sub(plain).max(1);
         let most = LONGEST.saturating_sub(plain) / each;
-        let columns = (1..=2 * n).rev().find(|c| (2 * n).is_multiple_of(*c) && *c <= most);
+        let columns = (1..=2 * n)
+            .rev()
+            .find(|c| (2 * n).is_multiple_of(*c) && *c <= most);
         match columns {
             Some(columns) if columns > 1 => (columns, self.along(system, columns)),
             _ => (1, one),

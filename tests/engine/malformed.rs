@@ -1,6 +1,7 @@
 //! Scenes with mistakes: every mistake is reported, with its exact place, and nothing else is.
 //!
-//! The scenes are in `tests/malformed/*.cases`, as edits of `base.toml`:
+//! The scenes are in `tests/malformed/*.cases`, as edits of `base.toml` (of `mechanism.toml` where
+//! they are about mechanisms):
 //!
 //! ```text
 //! == name of the case
@@ -17,6 +18,7 @@ use costate::low_level::scenario::{LoadError, ScenarioErrors, load, parse};
 use std::collections::BTreeMap;
 
 const BASE: &str = include_str!("../malformed/base.toml");
+const MECHANISM: &str = include_str!("../malformed/mechanism.toml");
 
 /// A problem that a scene must have.
 struct Expected<'c> {
@@ -34,9 +36,9 @@ struct Case<'c> {
     expected: Vec<Expected<'c>>,
 }
 
-/// The base scene with lines (from 1) replaced by any number of lines.
-fn edited(edits: &BTreeMap<usize, Vec<String>>) -> String {
-    let lines = BASE
+/// A base scene with lines (from 1) replaced by any number of lines.
+fn edited(base: &str, edits: &BTreeMap<usize, Vec<String>>) -> String {
+    let lines = base
         .lines()
         .enumerate()
         .flat_map(|(i, line)| match edits.get(&(i + 1)) {
@@ -48,10 +50,10 @@ fn edited(edits: &BTreeMap<usize, Vec<String>>) -> String {
 
 /// The base scene with one line replaced.
 fn with_line(line: usize, new: &str) -> String {
-    edited(&BTreeMap::from([(line, vec![new.to_owned()])]))
+    edited(BASE, &BTreeMap::from([(line, vec![new.to_owned()])]))
 }
 
-fn read_case<'c>(case: &'c str) -> Option<Case<'c>> {
+fn read_case<'c>(base: &str, case: &'c str) -> Option<Case<'c>> {
     let (name, rest) = case.split_once('\n')?;
     let (mut edits, mut set, mut expected) = (
         BTreeMap::<usize, Vec<String>>::new(),
@@ -83,7 +85,7 @@ fn read_case<'c>(case: &'c str) -> Option<Case<'c>> {
     }
     Some(Case {
         name,
-        text: edited(&edits),
+        text: edited(base, &edits),
         set,
         expected,
     })
@@ -104,12 +106,17 @@ fn found(errors: &ScenarioErrors) -> String {
 }
 
 fn check(cases: &str) {
+    check_edits(BASE, cases);
+}
+
+/// Cases that are edits of a base scene.
+fn check_edits(base: &str, cases: &str) {
     let mut wrong = String::new();
     let cases = cases
         .strip_prefix("== ")
         .expect("a file of cases begins with one");
     for case in cases.split("\n== ") {
-        let case = read_case(case).unwrap_or_else(|| panic!("not a case: {case}"));
+        let case = read_case(base, case).unwrap_or_else(|| panic!("not a case: {case}"));
         assert!(
             !case.expected.is_empty(),
             "{}: no problem expected",
@@ -209,6 +216,12 @@ fn attenuation() {
 #[test]
 fn dissipation() {
     check(include_str!("../malformed/dissipation.cases"));
+}
+
+#[test]
+fn mechanisms() {
+    parse(MECHANISM, "scene.toml", &[]).unwrap_or_else(|e| panic!("{e}"));
+    check_edits(MECHANISM, include_str!("../malformed/mechanism.cases"));
 }
 
 #[test]

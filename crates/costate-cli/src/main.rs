@@ -11,7 +11,9 @@ use args::Command;
 use clap::Parser;
 #[cfg(feature = "report")]
 use commands::report;
-use commands::{attenuation, bench, check, check_least, evaluate, export, fit, mechanism, run, study, value};
+use commands::{
+    attenuation, bench, check, check_least, evaluate, export, fit, mechanism, run, study, value,
+};
 use costate::low_level::diagnostics::{printable, unprintable};
 use error::CliError;
 use std::process::ExitCode;

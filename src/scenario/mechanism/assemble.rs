@@ -57,7 +57,11 @@ impl Reader<'_> {
                     axis,
                     place,
                     rotation,
-                    inertia: if k == last { spec.inertia } else { Inertia::NONE },
+                    inertia: if k == last {
+                        spec.inertia
+                    } else {
+                        Inertia::NONE
+                    },
                     rotor: spec.rotor,
                 });
                 owners.push(link);
@@ -97,7 +101,11 @@ impl Reader<'_> {
             };
             let parent = names().position(|n| n == name);
             if parent.is_none() {
-                let message = format!("unknown body `{}`, the parent of `{}`", shorten(name), spec.name);
+                let message = format!(
+                    "unknown body `{}`, the parent of `{}`",
+                    shorten(name),
+                    spec.name
+                );
                 let help = did_you_mean(name, names().chain(["world"]));
                 self.report(Problem {
                     help,
@@ -115,7 +123,8 @@ impl Reader<'_> {
         let mut order: Vec<usize> = Vec::with_capacity(specs.len());
         let mut placed = vec![false; specs.len()];
         while order.len() < specs.len() {
-            let next = (0..specs.len()).find(|i| !placed[*i] && parents[*i].is_none_or(|p| placed[p]));
+            let next =
+                (0..specs.len()).find(|i| !placed[*i] && parents[*i].is_none_or(|p| placed[p]));
             let Some(next) = next else { break };
             placed[next] = true;
             order.push(next);
@@ -132,9 +141,17 @@ impl Reader<'_> {
             }
             way.push(up);
         }
-        let names: Vec<&str> = way.iter().chain(&way[..1]).map(|w| specs[*w].name.as_str()).collect();
-        let message = format!("bodies hang on each other in a circle: {}", names.join(" on "));
-        let span = (specs[way[0]].parent.as_ref()).map_or(specs[way[0]].span.clone(), |(_, s)| s.clone());
+        let names: Vec<&str> = way
+            .iter()
+            .chain(&way[..1])
+            .map(|w| specs[*w].name.as_str())
+            .collect();
+        let message = format!(
+            "bodies hang on each other in a circle: {}",
+            names.join(" on ")
+        );
+        let span =
+            (specs[way[0]].parent.as_ref()).map_or(specs[way[0]].span.clone(), |(_, s)| s.clone());
         let problem = Problem::at(span, message, "a tree has no circle");
         self.report(problem.with_help("the first body has no parent, or parent = \"world\"; a closed chain is cut at one joint, where two points are held together ([mechanism.contacts])"));
         None
@@ -147,10 +164,20 @@ fn joints(spec: &Spec) -> Vec<(Joint, DVec3, &'static str)> {
     use Joint::{Prismatic, Revolute};
     let of = |list: &[(Joint, DVec3)]| -> Vec<(Joint, DVec3, &'static str)> {
         let tails = spec.kind.coordinates();
-        (list.iter().zip(tails)).map(|((j, a), t)| (*j, *a, *t)).collect()
+        (list.iter().zip(tails))
+            .map(|((j, a), t)| (*j, *a, *t))
+            .collect()
     };
-    let slides = [(Prismatic, DVec3::X), (Prismatic, DVec3::Y), (Prismatic, DVec3::Z)];
-    let turns = [(Revolute, DVec3::Z), (Revolute, DVec3::Y), (Revolute, DVec3::X)];
+    let slides = [
+        (Prismatic, DVec3::X),
+        (Prismatic, DVec3::Y),
+        (Prismatic, DVec3::Z),
+    ];
+    let turns = [
+        (Revolute, DVec3::Z),
+        (Revolute, DVec3::Y),
+        (Revolute, DVec3::X),
+    ];
     match spec.kind {
         Kind::Revolute => of(&[(Revolute, spec.axis)]),
         Kind::Prismatic => of(&[(Prismatic, spec.axis)]),

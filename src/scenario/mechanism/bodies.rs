@@ -104,7 +104,11 @@ impl<'a> Reader<'a> {
     ) -> Option<Spec> {
         let what = which.what;
         let Some(joint) = body.get("joint") else {
-            let problem = Problem::at(span.clone(), format!("{what} has no joint"), "`joint` is missing");
+            let problem = Problem::at(
+                span.clone(),
+                format!("{what} has no joint"),
+                "`joint` is missing",
+            );
             let names: Vec<&str> = Kind::NAMES.iter().map(|(n, _)| *n).collect();
             self.report(problem.with_help(format!("joint = one of {}", names.join(", "))));
             return None;
@@ -132,18 +136,30 @@ impl<'a> Reader<'a> {
         let inertia = self.inertia(body, which);
         let own = |key| (key, format!("the {key} of {what}"));
         let [damping, spring, rest, rotor] =
-            ["damping", "spring", "rest", "rotor"].map(own).map(|(key, what)| {
-                let value = body.get(key).and_then(|v| Some((v, self.one_of(v, which, 0)?)));
-                let Some((_, value)) = value else { return Some(0.0) };
-                if kind.coordinates().len() != 1 {
-                    let message = format!("{what}: the joint has not one coordinate");
-                    return self.refuse(value.span(), message, "write it in [mechanism.forces]");
-                }
-                match key {
-                    "damping" | "rotor" => self.number_that(value, &what, "at least 0", |v| v >= 0.0),
-                    _ => self.number(value, &what),
-                }
-            });
+            ["damping", "spring", "rest", "rotor"]
+                .map(own)
+                .map(|(key, what)| {
+                    let value = body
+                        .get(key)
+                        .and_then(|v| Some((v, self.one_of(v, which, 0)?)));
+                    let Some((_, value)) = value else {
+                        return Some(0.0);
+                    };
+                    if kind.coordinates().len() != 1 {
+                        let message = format!("{what}: the joint has not one coordinate");
+                        return self.refuse(
+                            value.span(),
+                            message,
+                            "write it in [mechanism.forces]",
+                        );
+                    }
+                    match key {
+                        "damping" | "rotor" => {
+                            self.number_that(value, &what, "at least 0", |v| v >= 0.0)
+                        }
+                        _ => self.number(value, &what),
+                    }
+                });
         if let (Some(_), None) = (body.get("rest"), body.get("spring")) {
             let message = format!("{what} has `rest`, but no spring");
             self.refuse::<()>(body.key_span("rest"), message, "of no use")?;
@@ -218,7 +234,11 @@ impl<'a> Reader<'a> {
             false => ("[x, y, z]", &[3]),
         };
         let all = self.numbers(value, what, shape)?;
-        Some(DVec3::new(all[0], all[1], all.get(2).copied().unwrap_or(0.0)))
+        Some(DVec3::new(
+            all[0],
+            all[1],
+            all.get(2).copied().unwrap_or(0.0),
+        ))
     }
 
     /// Where the joint is in the parent's frame. Of a chain one place is that of all links after the
@@ -275,8 +295,15 @@ impl<'a> Reader<'a> {
         match is_rotation {
             true => Some(clean(matrix)),
             false => {
-                let problem = Problem::at(value.span(), format!("{what} is no rotation"), "columns: the joint's axes");
-                self.report(problem.with_help("all digits are needed; rpy = [roll, pitch, yaw] takes angles"));
+                let problem = Problem::at(
+                    value.span(),
+                    format!("{what} is no rotation"),
+                    "columns: the joint's axes",
+                );
+                self.report(
+                    problem
+                        .with_help("all digits are needed; rpy = [roll, pitch, yaw] takes angles"),
+                );
                 None
             }
         }
@@ -303,7 +330,11 @@ impl<'a> Reader<'a> {
         let what = format!("the axis of {}", which.what);
         let Some(value) = body.get("axis") else {
             if kind == Kind::Prismatic {
-                let problem = Problem::at(span.clone(), format!("{what} is missing"), "slides, but where to?");
+                let problem = Problem::at(
+                    span.clone(),
+                    format!("{what} is missing"),
+                    "slides, but where to?",
+                );
                 self.report(problem.with_help("axis = \"x\", or a vector in the joint's frame"));
                 return None;
             }
@@ -328,7 +359,11 @@ impl<'a> Reader<'a> {
         };
         match axis.try_normalize() {
             Some(unit) => Some(unit),
-            None => self.refuse(value.span(), format!("{what} is 0: the joint is locked"), "no direction; joint = \"fixed\" locks it"),
+            None => self.refuse(
+                value.span(),
+                format!("{what} is 0: the joint is locked"),
+                "no direction; joint = \"fixed\" locks it",
+            ),
         }
     }
 
@@ -337,7 +372,9 @@ impl<'a> Reader<'a> {
         let mass = match body.get("mass") {
             Some(value) => {
                 let value = self.one_of(value, which, 0)?;
-                self.number_that(value, &format!("the mass of {what}"), "at least 0", |m| m >= 0.0)?
+                self.number_that(value, &format!("the mass of {what}"), "at least 0", |m| {
+                    m >= 0.0
+                })?
             }
             None => 0.0,
         };
@@ -358,7 +395,11 @@ impl<'a> Reader<'a> {
         };
         if let Some(value) = body.get("com") {
             let value = self.one_of(value, which, 1)?;
-            com = self.vector(value, &format!("the centre of mass of {what}"), which.planar)?;
+            com = self.vector(
+                value,
+                &format!("the centre of mass of {what}"),
+                which.planar,
+            )?;
         }
         if let Some(value) = body.get("inertia") {
             if shape.is_some() {
@@ -395,7 +436,10 @@ impl<'a> Reader<'a> {
                 _ => return None,
             }
         };
-        let size = tensor.to_cols_array().iter().fold(0.0f64, |a, v| a.max(v.abs()));
+        let size = tensor
+            .to_cols_array()
+            .iter()
+            .fold(0.0f64, |a, v| a.max(v.abs()));
         let skew = (tensor - tensor.transpose()).to_cols_array();
         if skew.iter().any(|v| v.abs() > ROUNDING * size) {
             let message = format!("no body has {what}: it is not symmetric");
@@ -431,11 +475,21 @@ impl<'a> Reader<'a> {
             ("rod" | "sphere", _) => vec![self.number(size, &what)?],
             ("cylinder", _) => self.numbers(size, &what, ("[length, radius]", &[2]))?,
             ("box", _) => self.numbers(size, &what, ("[x, y, z], its edges", &[3]))?,
-            _ => self.numbers(size, &what, ("[length, radius], or [x, y, z], its axes from end to end", &[2, 3]))?,
+            _ => self.numbers(
+                size,
+                &what,
+                (
+                    "[length, radius], or [x, y, z], its axes from end to end",
+                    &[2, 3],
+                ),
+            )?,
         };
         if sizes.iter().any(|s| *s <= 0.0) {
             let sizes: Vec<String> = sizes.iter().map(|s| plain(*s)).collect();
-            let message = format!("{what} must have sizes greater than 0, not {}", sizes.join(", "));
+            let message = format!(
+                "{what} must have sizes greater than 0, not {}",
+                sizes.join(", ")
+            );
             return self.refuse(size.span(), message, "a size");
         }
         Some(solid(name, &sizes))

@@ -38,13 +38,21 @@ impl<'a> Reader<'a> {
         let mut all_good = true;
         let names: Vec<&str> = tree.bodies.iter().map(|b| b.name.as_str()).collect();
         let moving: FxHashMap<Id, Id> = (names.iter())
-            .filter_map(|n| Some((*symbols.get(n)?, *symbols.get(format!("{n}{RATE}").as_str())?)))
+            .filter_map(|n| {
+                Some((
+                    *symbols.get(n)?,
+                    *symbols.get(format!("{n}{RATE}").as_str())?,
+                ))
+            })
             .collect();
         for (name, span, value) in section.into_iter().flat_map(|s| s.entries()) {
             if !names.contains(&name) {
                 let message = format!("unknown coordinate `{}`", shorten(name));
                 let help = did_you_mean(name, names.iter().copied());
-                self.report(Problem { help, ..Problem::at(span, message, "no such coordinate") });
+                self.report(Problem {
+                    help,
+                    ..Problem::at(span, message, "no such coordinate")
+                });
                 all_good = false;
                 continue;
             }
@@ -112,7 +120,10 @@ impl<'a> Reader<'a> {
         }
         let message = format!("unknown point `{}`", shorten(name));
         let help = did_you_mean(name, points.iter().map(|p| p.name.as_str()));
-        self.report(Problem { help, ..Problem::at(span, message, "not in [mechanism.points]") });
+        self.report(Problem {
+            help,
+            ..Problem::at(span, message, "not in [mechanism.points]")
+        });
         None
     }
 
@@ -222,11 +233,19 @@ impl<'a> Reader<'a> {
         }
         if least < ROUNDING {
             let message = "the contacts hold the same twice, or what cannot move: their forces are not determined";
-            return self.refuse(span.clone(), message, "remove one, or a direction of it (`along`)");
+            return self.refuse(
+                span.clone(),
+                message,
+                "remove one, or a direction of it (`along`)",
+            );
         }
         if dependent > 0 && fastest > ROUNDING {
             let message = "the dependent coordinates do not hold the contacts: a held point moves";
-            let problem = Problem::at(span.clone(), message, format!("up to {fastest:.3e} at rates of about 1"));
+            let problem = Problem::at(
+                span.clone(),
+                message,
+                format!("up to {fastest:.3e} at rates of about 1"),
+            );
             self.report(problem.with_help("each dependent coordinate is what the others make it while the points stay where they are"));
             return None;
         }

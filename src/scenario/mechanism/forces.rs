@@ -6,9 +6,9 @@ use crate::mechanism::algebra::{V3, add, cross, zero};
 use crate::mechanism::{Link, Load, Named, Posed};
 use crate::model::Span;
 use crate::scenario::build::Use;
+use crate::scenario::mechanism::bodies::Spec;
 use crate::scenario::reader::{Reader, Section, Value};
 use crate::scenario::scope::Kinds;
-use crate::scenario::mechanism::bodies::Spec;
 use toml::de::DeValue;
 
 const RULE: &str = "parameters, states, controls, disturbances and definitions";
@@ -73,26 +73,44 @@ impl<'a> Reader<'a> {
             (Some(i), _) if !is_table => self.joint_force(i, name, value, load),
             (_, Some(link)) if is_table => self.body_forces(link, name, value, acted, load),
             (None, Some(_)) => {
-                let message = format!("`{}` has not one coordinate that a force could act along", shorten(name));
+                let message = format!(
+                    "`{}` has not one coordinate that a force could act along",
+                    shorten(name)
+                );
                 let label = "write { moment = ... } or { point = ..., force = [...] }";
                 self.refuse(span.clone(), message, label)
             }
             (Some(_), _) => {
-                let message = format!("`{}` is a coordinate, which a force acts along: an expression", shorten(name));
+                let message = format!(
+                    "`{}` is a coordinate, which a force acts along: an expression",
+                    shorten(name)
+                );
                 self.refuse(value.span(), message, "tables are for bodies")
             }
             (None, None) => {
                 let names = bodies.iter().map(|b| b.name.as_str());
                 let names = names.chain(acted.links.iter().map(|l| l.name.as_str()));
                 let help = did_you_mean(name, names);
-                let message = format!("unknown joint or body `{}` in [mechanism.forces]", shorten(name));
-                self.report(Problem { help, ..Problem::at(span.clone(), message, "no such joint") });
+                let message = format!(
+                    "unknown joint or body `{}` in [mechanism.forces]",
+                    shorten(name)
+                );
+                self.report(Problem {
+                    help,
+                    ..Problem::at(span.clone(), message, "no such joint")
+                });
                 None
             }
         }
     }
 
-    fn joint_force(&mut self, i: usize, name: &str, value: &'a Value<'a>, load: &mut Load) -> Option<()> {
+    fn joint_force(
+        &mut self,
+        i: usize,
+        name: &str,
+        value: &'a Value<'a>,
+        load: &mut Load,
+    ) -> Option<()> {
         let what = format!("the force at joint `{}`", shorten(name));
         let force = self.force_expression(value, &what)?;
         load.joints[i] = self.graph.add(load.joints[i], force);
@@ -150,7 +168,10 @@ impl<'a> Reader<'a> {
         // On the world it does nothing.
         if let Some(i) = body {
             let (t, f) = load.bodies[i];
-            load.bodies[i] = (add(&mut self.graph, t, wrench.0), add(&mut self.graph, f, wrench.1));
+            load.bodies[i] = (
+                add(&mut self.graph, t, wrench.0),
+                add(&mut self.graph, f, wrench.1),
+            );
         }
         Some(())
     }
@@ -165,7 +186,11 @@ impl<'a> Reader<'a> {
     }
 
     fn vector_expression(&mut self, value: &'a Value<'a>, what: &str, planar: bool) -> Option<V3> {
-        let (names, length) = if planar { ("[x, y]", 2) } else { ("[x, y, z]", 3) };
+        let (names, length) = if planar {
+            ("[x, y]", 2)
+        } else {
+            ("[x, y, z]", 3)
+        };
         let all = self.array(value, what, names, length)?;
         let all: Vec<Option<Id>> = all.iter().map(|v| self.force_expression(v, what)).collect();
         let all: Option<Vec<Id>> = all.into_iter().collect();
@@ -204,7 +229,10 @@ impl<'a> Reader<'a> {
             let Some(point) = acted.points.iter().find(|p| p.name == name) else {
                 let help = did_you_mean(name, acted.points.iter().map(|p| p.name.as_str()));
                 let message = format!("unknown point `{}`", shorten(name));
-                self.report(Problem { help, ..Problem::at(value.span(), message, "not in [mechanism.points]") });
+                self.report(Problem {
+                    help,
+                    ..Problem::at(value.span(), message, "not in [mechanism.points]")
+                });
                 return None;
             };
             if point.mount.body != mount.body {

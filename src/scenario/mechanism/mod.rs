@@ -56,7 +56,11 @@ impl<'a> Reader<'a> {
         self.check_keys(section, "mechanism");
         let (gravity, planar) = self.gravity(section)?;
         let Some(bodies) = section.get("bodies") else {
-            let problem = Problem::at(section.span.clone(), "[mechanism] has no bodies", "nothing that moves");
+            let problem = Problem::at(
+                section.span.clone(),
+                "[mechanism] has no bodies",
+                "nothing that moves",
+            );
             self.report(problem.with_help("[mechanism.bodies] with one table a body, such as arm = { joint = \"revolute\", mass = 1, shape = { rod = 0.5 } }"));
             return None;
         };
@@ -85,13 +89,20 @@ impl<'a> Reader<'a> {
             let name = body.name.as_str();
             let (coordinate, rate) = match dependents.get(name) {
                 Some(pair) => *pair,
-                None => (*state.get(name)?, *state.get(format!("{name}{RATE}").as_str())?),
+                None => (
+                    *state.get(name)?,
+                    *state.get(format!("{name}{RATE}").as_str())?,
+                ),
             };
             q.push(coordinate);
             rates.push(rate);
         }
         let posed = Posed::new(&mut self.graph, &tree, &q, &rates);
-        let spans = assembled.owners.iter().map(|o| specs[*o].span.clone()).collect();
+        let spans = assembled
+            .owners
+            .iter()
+            .map(|o| specs[*o].span.clone())
+            .collect();
         let mut structure = Structure {
             energy: self.energy(&posed, &specs, &assembled.owners),
             specs,
@@ -120,13 +131,18 @@ impl<'a> Reader<'a> {
             self.check_contacts(&structure, (&constraints, &span), dependents.len())?;
             (structure.constraints, structure.contacts) = (constraints, names);
         } else if let (Some(dependent), false) = (&dependent, dependents.is_empty()) {
-            let message = "coordinates are dependent where points are held: there is no [mechanism.contacts]";
+            let message =
+                "coordinates are dependent where points are held: there is no [mechanism.contacts]";
             return self.refuse(dependent.span.clone(), message, "held by what?");
         }
         let span = section.span.clone();
         let Energy { kinetic, potential } = structure.energy;
         let energy = self.graph.add(kinetic, potential);
-        for (name, expr) in [("kinetic", kinetic), ("potential", potential), ("energy", energy)] {
+        for (name, expr) in [
+            ("kinetic", kinetic),
+            ("potential", potential),
+            ("energy", energy),
+        ] {
             self.quantity(name, &span, expr, Kinds::STATE);
         }
         Some(structure)
@@ -134,14 +150,21 @@ impl<'a> Reader<'a> {
 
     fn gravity(&mut self, section: &Section<'a>) -> Option<(DVec3, bool)> {
         let Some(value) = section.get("gravity") else {
-            let problem = Problem::at(section.span.clone(), "[mechanism] has no gravity", "`gravity` is missing");
+            let problem = Problem::at(
+                section.span.clone(),
+                "[mechanism] has no gravity",
+                "`gravity` is missing",
+            );
             self.report(problem.with_help("gravity = [0, -9.81]: two numbers for a planar mechanism, three for one in space (zeros for none)"));
             return None;
         };
         let names = "[x, y] or [x, y, z]";
         let all = self.numbers(value, "gravity", (names, &[2, 3]))?;
         let planar = all.len() == 2;
-        Some((DVec3::new(all[0], all[1], all.get(2).copied().unwrap_or(0.0)), planar))
+        Some((
+            DVec3::new(all[0], all[1], all.get(2).copied().unwrap_or(0.0)),
+            planar,
+        ))
     }
 
     fn energy(&mut self, posed: &Posed, specs: &[Spec], owners: &[usize]) -> Energy {
@@ -168,13 +191,17 @@ impl<'a> Reader<'a> {
         let inertias = Articulated::new(&mut graph, motion).inertias();
         let at: Vec<Vec<f64>> = (0..POSITIONS)
             .map(|k| {
-                let place = |i: usize| 3.0 * (1.0 + (i * POSITIONS + k) as f64 * 0.7548776662).sin();
+                let place =
+                    |i: usize| 3.0 * (1.0 + (i * POSITIONS + k) as f64 * 0.7548776662).sin();
                 let values = motion.q.iter().enumerate().map(|(i, q)| (*q, place(i)));
                 let still = motion.rates.iter().map(|v| (*v, 0.0));
                 graph.eval(&inertias, &values.chain(still).collect())
             })
             .collect();
-        let size = at.iter().flatten().fold(0.0f64, |a, v| if v.is_finite() { a.max(*v) } else { a });
+        let size = at
+            .iter()
+            .flatten()
+            .fold(0.0f64, |a, v| if v.is_finite() { a.max(*v) } else { a });
         let mut reported = Vec::new();
         for (i, body) in motion.tree.bodies.iter().enumerate().rev() {
             let moves = |v: &f64| v.is_finite() && *v > LEAST_INERTIA * size;
@@ -188,8 +215,15 @@ impl<'a> Reader<'a> {
             }
             reported.push(owner);
             let message = format!("the joint `{}` moves no mass", body.name);
-            let problem = Problem::at(structure.spans[i].clone(), message, "its acceleration would be infinite");
-            self.report(problem.with_help("give the body a mass away from the axis, an inertia, or a rotor"));
+            let problem = Problem::at(
+                structure.spans[i].clone(),
+                message,
+                "its acceleration would be infinite",
+            );
+            self.report(
+                problem
+                    .with_help("give the body a mass away from the axis, an inertia, or a rotor"),
+            );
         }
         reported.is_empty().then_some(())
     }
@@ -200,11 +234,23 @@ impl<'a> Reader<'a> {
             let what = format!("point `{}`", shorten(name));
             let point = self.point(name, &what, value, structure);
             if let Some(point) = &point {
-                let found = structure.posed.point(&mut self.graph, &point.mount, point.at);
+                let found = structure
+                    .posed
+                    .point(&mut self.graph, &point.mount, point.at);
                 let count = if structure.planar { 2 } else { 3 };
                 for (k, axis) in ["x", "y", "z"].into_iter().enumerate().take(count) {
-                    self.quantity(&format!("{name}.{axis}"), &span, found.position[k], Kinds::STATE);
-                    self.quantity(&format!("{name}.v{axis}"), &span, found.velocity[k], Kinds::STATE);
+                    self.quantity(
+                        &format!("{name}.{axis}"),
+                        &span,
+                        found.position[k],
+                        Kinds::STATE,
+                    );
+                    self.quantity(
+                        &format!("{name}.v{axis}"),
+                        &span,
+                        found.velocity[k],
+                        Kinds::STATE,
+                    );
                 }
             }
             all.push(point);
@@ -223,7 +269,10 @@ impl<'a> Reader<'a> {
         self.check_keys(&table, "mechanism.points");
         if !super::lexer::is_identifier(name) {
             let help = "letters, digits and _, not a digit first";
-            self.report(Problem::at(value.span(), format!("{what}: not a name"), "not a name").with_help(help));
+            self.report(
+                Problem::at(value.span(), format!("{what}: not a name"), "not a name")
+                    .with_help(help),
+            );
             return None;
         }
         let link = match table.get("body") {
@@ -235,7 +284,10 @@ impl<'a> Reader<'a> {
                 if found.is_none() && known != "world" {
                     let message = format!("unknown body `{}`", shorten(known));
                     let help = did_you_mean(known, links.map(|l| l.name.as_str()).chain(["world"]));
-                    self.report(Problem { help, ..Problem::at(body.span(), message, "no such body") });
+                    self.report(Problem {
+                        help,
+                        ..Problem::at(body.span(), message, "no such body")
+                    });
                     return None;
                 }
                 found
@@ -281,21 +333,25 @@ impl<'a> Reader<'a> {
         if structure.constraints.is_empty() {
             return (free.joints, Vec::new());
         }
-        let held = structure.posed.held(g, &articulated, &structure.constraints);
+        let held = structure
+            .posed
+            .held(g, &articulated, &structure.constraints);
         held.contact(g, &free)
     }
 
     /// The kinds of symbols that an expression depends on.
     fn kinds_of(&self, expr: Id) -> Kinds {
         let symbols = self.graph.reachable(&[expr]).into_iter();
-        symbols.filter_map(|id| self.graph.as_symbol(id)).fold(Kinds::NONE, |kinds, symbol| {
-            kinds.and(match symbol.kind {
-                Kind::Parameter => Kinds::PARAMETER,
-                Kind::Control => Kinds::CONTROL,
-                Kind::Disturbance => Kinds::DISTURBANCE,
-                Kind::State | Kind::Adjoint => Kinds::STATE,
+        symbols
+            .filter_map(|id| self.graph.as_symbol(id))
+            .fold(Kinds::NONE, |kinds, symbol| {
+                kinds.and(match symbol.kind {
+                    Kind::Parameter => Kinds::PARAMETER,
+                    Kind::Control => Kinds::CONTROL,
+                    Kind::Disturbance => Kinds::DISTURBANCE,
+                    Kind::State | Kind::Adjoint => Kinds::STATE,
+                })
             })
-        })
     }
 
     /// The mechanism with its forces, and the rates of its states by name.
@@ -305,7 +361,9 @@ impl<'a> Reader<'a> {
         structure: Structure,
     ) -> Option<(Mechanism, FxHashMap<String, Located>)> {
         let given = match section.get("forces") {
-            Some(value) => Some(self.table(value, section.key_span("forces"), "[mechanism.forces]")?),
+            Some(value) => {
+                Some(self.table(value, section.key_span("forces"), "[mechanism.forces]")?)
+            }
             None => None,
         };
         let acted = Acted {
@@ -320,7 +378,11 @@ impl<'a> Reader<'a> {
         for contact in &structure.contacts {
             let expr = forces[contact.constraint];
             let kinds = self.kinds_of(expr);
-            (self.scope).set(&contact.name, Role::Quantity, Meaning::Known { expr, kinds });
+            (self.scope).set(
+                &contact.name,
+                Role::Quantity,
+                Meaning::Known { expr, kinds },
+            );
         }
         let mut rates = FxHashMap::default();
         for (i, body) in motion.tree.bodies.iter().enumerate() {
@@ -347,4 +409,3 @@ impl<'a> Reader<'a> {
         Some((mechanism, rates))
     }
 }
-

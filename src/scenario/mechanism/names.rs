@@ -94,10 +94,16 @@ impl Generated {
             let kind = (table.get("joint"))
                 .and_then(|j| j.get_ref().as_str())
                 .and_then(|j| Kind::NAMES.iter().find(|(name, _)| *name == j));
-            let Some((_, kind)) = kind else { continue };
-            let chain = table.get("chain").map(|c| whole(c).unwrap_or(0).min(MOST_LINKS));
+            // One that is wrong is reported once, where it stands.
+            let kind = kind.map_or(Kind::Revolute, |(_, kind)| *kind);
+            let chain = table
+                .get("chain")
+                .map(|c| whole(c).unwrap_or(0).min(MOST_LINKS));
             for link in links(key.get_ref(), chain) {
-                let all = kind.coordinates().iter().map(|tail| format!("{link}{tail}"));
+                let all = kind
+                    .coordinates()
+                    .iter()
+                    .map(|tail| format!("{link}{tail}"));
                 let free = all.filter(|name| !is_dependent(name));
                 coordinates.extend(free.map(|name| (name, key.span())));
             }

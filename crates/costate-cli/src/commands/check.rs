@@ -249,7 +249,11 @@ fn local_text(model: &Model, riccati: &Riccati, at: &At) -> Vec<String> {
 /// What the equations of a mechanism are made of, and whether they agree with each other.
 fn mechanism_text(mechanism: &MechanismSummary) -> String {
     let mut lines = vec![
-        format!("\nMechanism of {} coordinates: {}", mechanism.coordinates.len(), mechanism.coordinates.join(", ")),
+        format!(
+            "\nMechanism of {} coordinates: {}",
+            mechanism.coordinates.len(),
+            mechanism.coordinates.join(", ")
+        ),
         format!(
             "  accelerations take {} operations, x' and p' together {}",
             mechanism.forward_operations, mechanism.characteristic_operations

@@ -65,8 +65,14 @@ fn with_inputs(model: &Model) -> Model {
 }
 
 fn as_text(coordinates: &[String], state: &MechanismState) -> String {
-    let width = coordinates.iter().map(String::len).max().unwrap_or(0).max(12);
-    let row = |numbers: &[f64]| -> String { numbers.iter().map(|v| format!(" {v:>16.9}")).collect() };
+    let width = coordinates
+        .iter()
+        .map(String::len)
+        .max()
+        .unwrap_or(0)
+        .max(12);
+    let row =
+        |numbers: &[f64]| -> String { numbers.iter().map(|v| format!(" {v:>16.9}")).collect() };
     let mut lines = vec![format!(
         "  {:<width$} {:>16} {:>16} {:>16} {:>16} {:>16} {:>16}",
         "coordinate", "q", "q'", "q''", "force", "C q' + G", "G"
@@ -83,7 +89,12 @@ fn as_text(coordinates: &[String], state: &MechanismState) -> String {
         lines.push(format!("  {name:<width$}{}", row(&all)));
     }
     lines.push("  mass matrix".to_owned());
-    lines.extend(state.mass_matrix.iter().map(|r| format!("  {:<width$}{}", "", row(r))));
+    lines.extend(
+        state
+            .mass_matrix
+            .iter()
+            .map(|r| format!("  {:<width$}{}", "", row(r))),
+    );
     lines.push(format!(
         "  kinetic energy {:.9}, potential {:.9}",
         state.kinetic, state.potential
@@ -107,7 +118,10 @@ fn as_text(coordinates: &[String], state: &MechanismState) -> String {
         ));
     }
     if !state.contacts.is_empty() {
-        lines.push(format!("  q' after a collision{}", row(&state.after_collision)));
+        lines.push(format!(
+            "  q' after a collision{}",
+            row(&state.after_collision)
+        ));
     }
     lines.join("\n") + "\n"
 }
