@@ -55,12 +55,16 @@ pub enum PlanError {
     Local(#[from] LocalError),
 }
 
+/// Operations of the dynamics up to which Taylor series are chosen: a step of theirs is some hundred
+/// times as long.
+const SHORT: usize = 200;
+
 /// The method that reaches a tolerance soonest on a backend (see benches/README.md for the
 /// measurements).
-fn best_method(backend: &dyn Backend, rtol: f64) -> Method {
+fn best_method(backend: &dyn Backend, rtol: f64, dynamics: usize) -> Method {
     if rtol >= F32_RTOL {
         Method::Tsit5
-    } else if backend.favours(Method::Taylor) {
+    } else if backend.favours(Method::Taylor) && dynamics <= SHORT {
         Method::Taylor
     } else {
         Method::Dop853
@@ -147,8 +151,10 @@ impl Numerics {
                 Precision::F64
             },
         );
-        let method = (choices.method.or(model.integrator.method))
-            .unwrap_or_else(|| best_method(backend, rtol_asked));
+        let method = (choices.method.or(model.integrator.method)).unwrap_or_else(|| {
+            let rates: Vec<Id> = model.dynamics.iter().map(|d| d.expr).collect();
+            best_method(backend, rtol_asked, model.graph.reachable(&rates).len())
+        });
         if !method.adaptive() && model.integrator.step.is_none() {
             return Err(PlanError::NoStep {
                 method: method.name(),

@@ -184,6 +184,7 @@ fn hidden_sheet() {
             .map(|i| sweep.raw.sample(i, sweep.levels() - 1)[1..3].to_vec())
             .collect();
         // The part of the outermost front beyond |x| = 2, on either side.
+        let mut both_found = true;
         for side in [1.0, -1.0] {
             let mut there: Vec<f64> = (last.iter())
                 .map(|x| turned(x[0], x[1]))
@@ -208,6 +209,7 @@ fn hidden_sheet() {
             // across an end.
             let gap = 0.05 * 4.4 * 2f64.sqrt();
             let found = there.len() >= 5 && widest <= gap && reach <= -end + gap;
+            both_found &= found;
             if asked.precision == Precision::F64 {
                 assert!(
                     found,
@@ -219,9 +221,11 @@ fn hidden_sheet() {
         let c = &sweep.report.coverage;
         match asked.precision {
             Precision::F64 => assert_eq!((c.uncovered, c.indistinguishable), (0, 0), "{what}"),
+            // Whether f32 can tell such seeds apart is a matter of how they are rounded; a sweep
+            // that counts no gap has found them.
             Precision::F32 => assert!(
-                c.indistinguishable > 0,
-                "{what}: f32 cannot tell such seeds apart"
+                c.indistinguishable > 0 || (c.uncovered == 0 && both_found),
+                "{what}: {c:?}, found: {both_found}"
             ),
         }
         // The linearization gives no hint.

@@ -8,12 +8,40 @@ use std::path::{Path, PathBuf};
 /// Like no key and no choice.
 const BOGUS: &str = "qqqqqqqqqq";
 
-/// What tables are probed beside the sections: where `BOGUS` is a key of each, and the heading of
-/// its table.
-const WITHIN: [(&str, &str); 1] = [(
-    "closed_loop.law",
-    "one = { weights = \"one.toml\", qqqqqqqqqq = 1 }",
-)];
+/// A body with a coordinate.
+const BODY: &str =
+    "gravity = [0, 1]\n[mechanism.bodies]\na = { joint = \"revolute\", mass = 1, com = [1, 0]";
+
+/// Tables that are probed beside the sections: the heading of each, the section that it is in, and
+/// lines there, after `BODY` in a mechanism, in which `BOGUS` is a key of it.
+const WITHIN: [(&str, &str, &str); 6] = [
+    (
+        "closed_loop.law",
+        "closed_loop.law",
+        "one = { weights = \"one.toml\", qqqqqqqqqq = 1 }",
+    ),
+    ("mechanism.bodies", "mechanism", ", qqqqqqqqqq = 1 }"),
+    (
+        "mechanism.bodies.shape",
+        "mechanism",
+        ", shape = { rod = 1, qqqqqqqqqq = 1 } }",
+    ),
+    (
+        "mechanism.points",
+        "mechanism",
+        " }\n[mechanism.points]\np = { qqqqqqqqqq = 1 }",
+    ),
+    (
+        "mechanism.contacts",
+        "mechanism",
+        " }\n[mechanism.points]\np = { body = \"a\" }\n[mechanism.contacts]\np = { qqqqqqqqqq = 1 }",
+    ),
+    (
+        "mechanism.forces.body",
+        "mechanism",
+        " }\n[mechanism.forces]\na = { qqqqqqqqqq = 1 }",
+    ),
+];
 
 fn root() -> PathBuf {
     Path::new(crate::ROOT).to_owned()
@@ -53,13 +81,13 @@ fn listed(problems: &[Problem], before: &str) -> Option<BTreeSet<String>> {
 /// Keys that a section, or each of its entries, may have; `None` where its keys are names of the
 /// scene.
 fn keys(section: &str) -> Option<BTreeSet<String>> {
-    let within = WITHIN
-        .iter()
-        .find(|(name, _)| *name == section)
-        .map(|(_, lines)| *lines);
     let probes = [format!("{BOGUS} = 1"), format!("x = {{ {BOGUS} = 1 }}")];
-    match within {
-        Some(lines) => listed(&problems(section, lines), " may have: "),
+    match WITHIN.iter().find(|(name, ..)| *name == section) {
+        Some((_, "mechanism", lines)) => listed(
+            &problems("mechanism", &format!("{BODY}{lines}")),
+            " may have: ",
+        ),
+        Some((_, within, lines)) => listed(&problems(within, lines), " may have: "),
         None => probes
             .iter()
             .find_map(|lines| listed(&problems(section, lines), " may have: ")),
@@ -122,7 +150,7 @@ fn the_reference_names_every_section_and_key() {
     for section in sections
         .iter()
         .map(String::as_str)
-        .chain(WITHIN.iter().map(|(name, _)| *name))
+        .chain(WITHIN.iter().map(|(name, ..)| *name))
     {
         let Some(keys) = keys(section) else { continue };
         with_keys += 1;
@@ -136,11 +164,17 @@ fn the_reference_names_every_section_and_key() {
         );
     }
     // Tables with keys that no probe above reaches would be missed.
-    let sources = std::fs::read_dir(root().join("src/scenario")).unwrap();
-    let checks: usize = sources
-        .map(|file| std::fs::read_to_string(file.unwrap().path()).unwrap())
-        .map(|text| text.matches("self.check_keys(").count())
-        .sum();
+    let mut checks = 0;
+    for folder in ["src/scenario", "src/scenario/mechanism"] {
+        let files = std::fs::read_dir(root().join(folder)).unwrap();
+        let files = files
+            .map(|file| file.unwrap().path())
+            .filter(|path| path.is_file());
+        checks += files
+            .map(|path| std::fs::read_to_string(path).unwrap())
+            .map(|text| text.matches("self.check_keys(").count())
+            .sum::<usize>();
+    }
     assert_eq!(
         with_keys, checks,
         "tables whose keys the parser checks, and those probed here"

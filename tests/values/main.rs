@@ -18,6 +18,7 @@ mod flight;
 mod hard_states;
 mod homotopy;
 mod least;
+mod mechanisms;
 mod session;
 mod sheets;
 

@@ -20,6 +20,8 @@ use std::sync::{Mutex, PoisonError};
 const RTOL: f64 = 1e-7;
 /// Attempted steps a trajectory.
 const MOST_STEPS: u32 = 20_000;
+/// Instructions of the equations up to which Taylor series are used.
+const LONGEST_SERIES: usize = 600;
 /// Arc length between stored points, in widths of the region, and the points beyond the first ones.
 const SPACING: f64 = 0.05;
 const MOST_POINTS: usize = 320;
@@ -110,7 +112,7 @@ impl Programs {
             rate: self.rate,
             guards: self.guards,
             kinks: self.kinks,
-            method: if backend.favours(Method::Taylor) {
+            method: if backend.favours(Method::Taylor) && self.rate.code.len() <= LONGEST_SERIES {
                 Method::Taylor
             } else {
                 Method::Dop853
