@@ -286,7 +286,8 @@ impl<'a> Reader<'a> {
             ("dynamics", "the time derivative of each state"),
             ("cost", "the running cost"),
         ] {
-            if !sections.contains_key(name) && !(mechanism && name == "dynamics") {
+            let follows = mechanism && name == "dynamics";
+            if !follows && !sections.contains_key(name) {
                 self.require(root, sections, name, what);
             }
         }

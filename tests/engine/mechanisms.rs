@@ -191,7 +191,7 @@ fn linearizations_agree_with_two_other_programs() {
         ("cart_pole_upright", "cart_pole_mechanism"),
     ] {
         let path = format!("{}/scenarios/{file}.toml", env!("CARGO_MANIFEST_DIR"));
-        let scene = Scene::load(std::path::Path::new(&path)).unwrap();
+        let scene = Scene::load(&path).unwrap();
         let riccati =
             costate::low_level::local::Riccati::solve(&scene.hamiltonian, &scene.model).unwrap();
         let wanted = &checks["linear_quadratic"][key];

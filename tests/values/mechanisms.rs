@@ -20,7 +20,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 /// Every extremal of the file is found, and nothing dearer than it is the answer.
 fn check(file: &str, key: &str) -> Vec<f64> {
     let data: Value = serde_json::from_str(include_str!("../data/multibody_checks.json")).unwrap();
-    let scene = Scene::load(&Path::new(crate::ROOT).join("scenarios").join(file)).unwrap();
+    let scene = Scene::load(Path::new(crate::ROOT).join("scenarios").join(file)).unwrap();
     let states = data["values"]["states"][key].as_array().unwrap();
     let x: Vec<f64> = states.iter().flat_map(|s| numbers(&s["x"])).collect();
     let solved = Session::new(&scene).solve(&x).unwrap();

@@ -108,15 +108,16 @@ impl Programs {
 
     /// Of a kernel that samples by time on a finite horizon, and else by arc length.
     fn spec(self, plan: &Plan, backend: &dyn Backend) -> Spec {
+        let is_short = self.rate.code.len() <= LONGEST_SERIES;
+        let method = match backend.favours(Method::Taylor) && is_short {
+            true => Method::Taylor,
+            false => Method::Dop853,
+        };
         Spec {
             rate: self.rate,
             guards: self.guards,
             kinks: self.kinks,
-            method: if backend.favours(Method::Taylor) && self.rate.code.len() <= LONGEST_SERIES {
-                Method::Taylor
-            } else {
-                Method::Dop853
-            },
+            method,
             precision: Precision::F64,
             by: if plan.system.terminal.is_some() {
                 By::Time

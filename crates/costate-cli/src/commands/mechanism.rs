@@ -71,8 +71,12 @@ fn as_text(coordinates: &[String], state: &MechanismState) -> String {
         .max()
         .unwrap_or(0)
         .max(12);
-    let row =
-        |numbers: &[f64]| -> String { numbers.iter().map(|v| format!(" {v:>16.9}")).collect() };
+    let row = |numbers: &[f64]| -> String {
+        numbers
+            .iter()
+            .map(|v| format!(" {:>16.9}", v + 0.0))
+            .collect()
+    };
     let mut lines = vec![format!(
         "  {:<width$} {:>16} {:>16} {:>16} {:>16} {:>16} {:>16}",
         "coordinate", "q", "q'", "q''", "force", "C q' + G", "G"
