@@ -46,14 +46,15 @@ pub struct Hamiltonian {
     pub guards: Vec<Guard>,
 }
 
-/// Operations up to which derivatives are also taken symbol by symbol.
+/// Operations, or states, up to which derivatives are also taken symbol by symbol.
 const SHORT: usize = 200;
+const FEW: usize = 4;
 
 /// dH/dx at fixed inputs: in reverse, for the price of a few H, or symbol by symbol where that is
 /// less.
 fn slopes(graph: &mut Graph, open: Id, x: &[Id]) -> Vec<Id> {
     let reverse = graph.gradient(open, x);
-    if graph.reachable(&[open]).len() > SHORT {
+    if x.len() > FEW && graph.reachable(&[open]).len() > SHORT {
         return reverse;
     }
     let forward: Vec<Id> = x.iter().map(|state| graph.diff(open, *state)).collect();
@@ -141,7 +142,19 @@ impl Hamiltonian {
         let map = swap.into_iter().chain(worst).collect();
         let smooth = graph.substitute(&[self.open], &map)[0];
         let variables: Vec<Id> = self.x.iter().chain(&self.p).copied().collect();
-        graph.hessian(smooth, &variables, &self.point(model))
+        let point = self.point(model);
+        // Written out, what cancels does so exactly.
+        if self.x.len() <= FEW || graph.reachable(&[smooth]).len() <= SHORT {
+            let mut second = Vec::new();
+            for &a in &variables {
+                let slope = graph.diff(smooth, a);
+                for &b in &variables {
+                    second.push(graph.diff(slope, b));
+                }
+            }
+            return graph.eval(&second, &point);
+        }
+        graph.hessian(smooth, &variables, &point)
     }
 
     /// Values of parameters, states at the reference point and zero adjoints.

@@ -386,6 +386,9 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
                     .map(|(m, v)| g.mul(*m, *v))
                     .collect();
                 terms.push(g.neg(through[i]));
+                // Against the momentum that there is: what is held already has no impulse.
+                let own = g.mul(mass[i][i], mechanism.rates[i]);
+                terms.extend([own, g.neg(own)]);
                 terms
             })
             .collect();
@@ -403,7 +406,12 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
         sums.push(Sum {
             name: "held points are at rest after a collision",
             places: (rest.iter().zip(&before))
-                .map(|(rest, before)| vec![g.sub(*rest, *before), *before])
+                .map(|(rest, before)| {
+                    let mut terms = vec![g.sub(*rest, *before), *before];
+                    let speeds = mechanism.rates.iter();
+                    terms.extend(speeds.flat_map(|v| [*v, g.neg(*v)]));
+                    terms
+                })
                 .collect(),
         });
         let kinetic = posed.kinetic(g);
@@ -440,24 +448,33 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     let outputs: Vec<Id> = sums.iter().flat_map(|s| s.places.concat()).collect();
     let symbols = inputs(model);
     let program = lower(g, model, &symbols, &outputs);
+    let follows = free.len() < mechanism.q.len();
     let mut worst = vec![0.0f64; sums.len()];
     for k in 0..STATES {
         let at: Vec<f64> = (0..symbols.len())
-            .map(|i| 3.0 * uniform(SEED, (k * symbols.len() + i) as u64) - 1.5)
+            .map(|i| {
+                let share = uniform(SEED, (k * symbols.len() + i) as u64);
+                // Of controls and disturbances any values will do.
+                let [lower, upper] = model.region.get(i).copied().unwrap_or([-1.5, 1.5]);
+                lower + share * (upper - lower)
+            })
             .collect();
         let all = program.eval(&at);
         let mut rest = &all[..];
         for (worst, places) in worst.iter_mut().zip(&lengths) {
-            let (mut size, mut off) = (0.0f64, 0.0f64);
+            let (mut size, mut off, mut finite) = (0.0f64, 0.0f64, true);
             for length in places {
                 let (terms, left) = rest.split_at(*length);
                 rest = left;
+                finite &= terms.iter().all(|t| t.is_finite());
                 size = terms.iter().fold(size, |a, t| a.max(t.abs()));
                 off = off.max(terms.iter().sum::<f64>().abs());
             }
-            // Out of reach of dependent coordinates nothing is said.
-            if size.is_finite() && off.is_finite() && size > 0.0 {
+            if finite && size > 0.0 {
                 *worst = worst.max(off / size);
+            } else if !finite && !follows {
+                // Out of reach of dependent coordinates nothing is said.
+                *worst = f64::INFINITY;
             }
         }
     }

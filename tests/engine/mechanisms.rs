@@ -471,3 +471,57 @@ fn identities_hold_on_random_trees() {
     }
     assert!(looked_at > 200, "{looked_at}");
 }
+
+/// A slide on a rail that holds the end of a rod: the rod's angle follows from the height, which must
+/// not leave the rod's length. Where it would nothing is told, and nothing is refused.
+#[test]
+fn dependent_coordinates_may_have_a_domain() {
+    let text = r#"
+        [mechanism]
+        gravity = [0, -9.81]
+        [mechanism.bodies]
+        x = { joint = "prismatic", axis = "x", mass = 1 }
+        y = { joint = "prismatic", axis = "y", parent = "x", mass = 1 }
+        rod = { joint = "revolute", parent = "y", mass = 0.5, shape = { rod = 1 } }
+        [mechanism.points]
+        end = { body = "rod", at = [1, 0] }
+        [mechanism.contacts]
+        end = { along = "y" }
+        [mechanism.dependent]
+        rod = "asin(-y)"
+        [mechanism.forces]
+        x = "u"
+        [controls]
+        u = {}
+        [region]
+        x = [-1, 1]
+        y = [-0.3, 0.3]
+        x_rate = [-1, 1]
+        y_rate = [-1, 1]
+        [cost]
+        running = "x^2 + y^2 + u^2"
+        terminal = "0"
+        final_time = 1
+    "#;
+    let scene = Scene::parse(text, "rod.toml").unwrap_or_else(|e| panic!("{e}"));
+    let summary = MechanismSummary::new(&scene).unwrap();
+    assert!(summary.identities.len() > 6);
+    for identity in summary.identities {
+        assert!(identity.residual < AGREES, "{identity:?}");
+    }
+}
+
+#[test]
+fn a_tensor_of_a_chain_of_three_is_not_guessed() {
+    let text = r#"
+        mechanism = { gravity = [0, 0, -9.81], bodies = { k = { chain = 3, joint = "revolute", axis = "x", mass = 1,
+            at = [1, 0, 0], com = [0, 1, 0], inertia = [[0.1, 0.01, 0.02], [0.01, 0.2, 0.03], [0.02, 0.03, 0.15]] } } }
+    "#;
+    let refused = Scene::parse(text, "chain.toml")
+        .expect_err("ambiguous")
+        .to_string();
+    assert!(
+        refused.contains("may be one tensor, or three of diagonals"),
+        "{refused}"
+    );
+}

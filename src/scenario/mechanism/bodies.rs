@@ -43,6 +43,19 @@ struct Which<'w> {
     is_chain: bool,
 }
 
+/// Whether a value is three rows of three numbers.
+fn is_square(value: &Value<'_>) -> bool {
+    let length = |value: &Value<'_>| match value.get_ref() {
+        DeValue::Array(all) => all.len(),
+        _ => 0,
+    };
+    let rows = match value.get_ref() {
+        DeValue::Array(rows) => rows,
+        _ => return false,
+    };
+    depth(value) == 2 && rows.len() == 3 && rows.iter().all(|row| length(row) == 3)
+}
+
 /// Number of levels of arrays that a value has.
 fn depth(value: &Value<'_>) -> usize {
     match value.get_ref() {
@@ -405,6 +418,15 @@ impl<'a> Reader<'a> {
             if shape.is_some() {
                 let message = format!("{what} has both shape and inertia");
                 return self.refuse(value.span(), message, "one of them");
+            }
+            if which.is_chain && which.links == 3 && !which.planar && is_square(value) {
+                let message =
+                    format!("the inertia of {what} may be one tensor, or three of diagonals");
+                let problem = Problem::at(value.span(), message, "three rows of three");
+                self.report(problem.with_help(
+                    "one for all: [xx, xy, xz, yy, yz, zz]; one a link: a list of three such",
+                ));
+                return None;
             }
             let value = self.one_of(value, which, if which.planar { 0 } else { 1 })?;
             about_com = self.tensor(value, which)?;

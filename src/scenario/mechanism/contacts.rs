@@ -213,6 +213,17 @@ impl<'a> Reader<'a> {
             .into_iter()
             .filter(|id| graph.as_symbol(*id).is_some())
             .collect();
+        // What the points could move by if they were free, in any direction.
+        let anyway: Vec<Constraint> = (constraints.iter())
+            .flat_map(|c| {
+                DVec3::AXES.map(|direction| Constraint {
+                    direction,
+                    ..c.clone()
+                })
+            })
+            .collect();
+        let free = structure.posed.held(&mut graph, &articulated, &anyway);
+        let free: Vec<Id> = (0..anyway.len()).map(|k| free.mobility()[k][k]).collect();
         let n = constraints.len();
         let (mut least, mut fastest) = (f64::INFINITY, 0.0f64);
         for k in 0..STATES {
@@ -228,7 +239,13 @@ impl<'a> Reader<'a> {
             }
             let matrix = nalgebra::DMatrix::from_row_slice(n, n, &all);
             let moments = matrix.symmetric_eigenvalues();
-            least = least.min(moments.min() / moments.max());
+            let most = graph.eval(&free, &values).into_iter().fold(0.0, f64::max);
+            let share = if most > 0.0 {
+                moments.min() / most
+            } else {
+                0.0
+            };
+            least = least.min(share);
             fastest = speeds.iter().fold(fastest, |a, v| a.max(v.abs()));
         }
         if least < ROUNDING {

@@ -198,6 +198,15 @@ impl<'a> Reader<'a> {
                 graph.eval(&inertias, &values.chain(still).collect())
             })
             .collect();
+        // Where dependent coordinates are out of reach nothing is told.
+        let follows = |q: &Id| self.graph.as_symbol(*q).is_none();
+        let at: Vec<Vec<f64>> = match motion.q.iter().any(follows) {
+            true => at
+                .into_iter()
+                .filter(|values| values.iter().all(|v| v.is_finite()))
+                .collect(),
+            false => at,
+        };
         let size = at
             .iter()
             .flatten()
