@@ -1,7 +1,6 @@
 //! Evaluation in f64 and over any number-like type.
 
 use super::{Fun, Graph, Id, Node, Op};
-use crate::numeric::{greatest, least};
 use rustc_hash::FxHashMap;
 
 /// Numbers for symbols.
@@ -23,15 +22,7 @@ impl Graph {
             },
             &mut |c| c,
             &mut |f, x| f.apply(*x),
-            &mut |op, x, y| match op {
-                Op::Add => x + y,
-                Op::Sub => x - y,
-                Op::Mul => x * y,
-                Op::Div => x / y,
-                Op::Pow => x.powf(*y),
-                Op::Min => least(*x, *y),
-                Op::Max => greatest(*x, *y),
-            },
+            &mut |op, x, y| op.apply(*x, *y),
         )
     }
 

@@ -130,6 +130,21 @@ pub enum Op {
     Max,
 }
 
+impl Op {
+    /// Value in f64.
+    pub fn apply(self, x: f64, y: f64) -> f64 {
+        match self {
+            Op::Add => x + y,
+            Op::Sub => x - y,
+            Op::Mul => x * y,
+            Op::Div => x / y,
+            Op::Pow => x.powf(y),
+            Op::Min => least(x, y),
+            Op::Max => greatest(x, y),
+        }
+    }
+}
+
 /// One node of the graph. Constants are kept as bits so that nodes can be hashed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Node {

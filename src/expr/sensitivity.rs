@@ -17,18 +17,7 @@ impl Graph {
                 Node::Neg(a) => -value[&a],
                 Node::Unary(f, a) => f.apply(value[&a]),
                 Node::Powi(a, n) => value[&a].powi(n),
-                Node::Binary(op, a, b) => {
-                    let (a, b) = (value[&a], value[&b]);
-                    match op {
-                        Op::Add => a + b,
-                        Op::Sub => a - b,
-                        Op::Mul => a * b,
-                        Op::Div => a / b,
-                        Op::Pow => a.powf(b),
-                        Op::Min => crate::numeric::least(a, b),
-                        Op::Max => crate::numeric::greatest(a, b),
-                    }
-                }
+                Node::Binary(op, a, b) => op.apply(value[&a], value[&b]),
             };
             value.insert(id, v);
         }

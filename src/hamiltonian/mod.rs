@@ -50,11 +50,16 @@ pub struct Hamiltonian {
 const SHORT: usize = 200;
 const FEW: usize = 4;
 
+/// Whether derivatives of an expression may be written out symbol by symbol.
+fn is_short(graph: &Graph, expr: Id, states: usize) -> bool {
+    states <= FEW || graph.reachable(&[expr]).len() <= SHORT
+}
+
 /// dH/dx at fixed inputs: in reverse, for the price of a few H, or symbol by symbol where that is
 /// less.
 fn slopes(graph: &mut Graph, open: Id, x: &[Id]) -> Vec<Id> {
     let reverse = graph.gradient(open, x);
-    if x.len() > FEW && graph.reachable(&[open]).len() > SHORT {
+    if !is_short(graph, open, x.len()) {
         return reverse;
     }
     let forward: Vec<Id> = x.iter().map(|state| graph.diff(open, *state)).collect();
@@ -144,7 +149,7 @@ impl Hamiltonian {
         let variables: Vec<Id> = self.x.iter().chain(&self.p).copied().collect();
         let point = self.point(model);
         // Written out, what cancels does so exactly.
-        if self.x.len() <= FEW || graph.reachable(&[smooth]).len() <= SHORT {
+        if is_short(&graph, smooth, self.x.len()) {
             let mut second = Vec::new();
             for &a in &variables {
                 let slope = graph.diff(smooth, a);

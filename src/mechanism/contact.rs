@@ -55,6 +55,15 @@ impl Row {
         };
         dot(g, self.direction, all)
     }
+
+    /// A force on the point, and its reaction on the one that it is held to.
+    fn push(&self, g: &mut Graph, posed: &Posed, load: &mut Load, force: V3) {
+        posed.push(g, load, &self.at, force);
+        if let Some(other) = &self.against {
+            let back = neg(g, force);
+            posed.push(g, load, other, back);
+        }
+    }
 }
 
 impl Posed {
@@ -85,11 +94,7 @@ impl Posed {
         let responses: Vec<Accelerations> = (rows.iter())
             .map(|row| {
                 let mut load = Load::none(g, count);
-                self.push(g, &mut load, &row.at, row.direction);
-                if let Some(other) = &row.against {
-                    let back = neg(g, row.direction);
-                    self.push(g, &mut load, other, back);
-                }
+                row.push(g, self, &mut load, row.direction);
                 articulated.response(g, &load)
             })
             .collect();
@@ -143,11 +148,7 @@ impl Held<'_> {
         let mut load = Load::none(g, self.posed.motion.frames.len());
         for (row, force) in self.rows.iter().zip(forces) {
             let along = scale(g, *force, row.direction);
-            self.posed.push(g, &mut load, &row.at, along);
-            if let Some(other) = &row.against {
-                let back = neg(g, along);
-                self.posed.push(g, &mut load, other, back);
-            }
+            row.push(g, self.posed, &mut load, along);
         }
         self.posed.motion.generalized(g, &load)
     }

@@ -277,7 +277,17 @@ impl Motion {
 
     /// Origins of all bodies, in world axes.
     pub fn origins(&self, g: &mut Graph, orientations: &[M3]) -> Vec<V3> {
-        self.summed(g, |_, frame| frame.arm, orientations)
+        let mut all: Vec<V3> = Vec::with_capacity(self.frames.len());
+        for (body, frame) in self.tree.bodies.iter().zip(&self.frames) {
+            all.push(match body.parent {
+                Some(p) => {
+                    let turned = times(g, &orientations[p], frame.arm);
+                    add(g, all[p], turned)
+                }
+                None => frame.arm,
+            });
+        }
+        all
     }
 
     /// Velocities of the origins, in the working axes.
@@ -297,26 +307,6 @@ impl Motion {
                 velocity = add(g, velocity, own);
             }
             all.push(rotate_back(g, &frame.turn, velocity));
-        }
-        all
-    }
-
-    fn summed(
-        &self,
-        g: &mut Graph,
-        step: impl Fn(usize, &Frame) -> V3,
-        orientations: &[M3],
-    ) -> Vec<V3> {
-        let mut all: Vec<V3> = Vec::with_capacity(self.frames.len());
-        for (i, (body, frame)) in self.tree.bodies.iter().zip(&self.frames).enumerate() {
-            let own = step(i, frame);
-            all.push(match body.parent {
-                Some(p) => {
-                    let turned = times(g, &orientations[p], own);
-                    add(g, all[p], turned)
-                }
-                None => own,
-            });
         }
         all
     }
@@ -429,21 +419,6 @@ impl Motion {
             terms.push(g.neg(work));
         }
         g.sum(&terms)
-    }
-
-    /// The centre of all masses, in world axes.
-    pub fn centre(&self, g: &mut Graph, orientations: &[M3], origins: &[V3]) -> V3 {
-        let total: f64 = self.tree.bodies.iter().map(|b| b.inertia.mass).sum();
-        let mut sum = zero(g);
-        for (i, (body, frame)) in self.tree.bodies.iter().zip(&self.frames).enumerate() {
-            let moment = times(g, &orientations[i], frame.moment);
-            let mass = g.constant(body.inertia.mass);
-            let carried = scale(g, mass, origins[i]);
-            let all = add(g, moment, carried);
-            sum = add(g, sum, all);
-        }
-        let share = g.constant(1.0 / total);
-        scale(g, share, sum)
     }
 }
 

@@ -1,7 +1,7 @@
 //! A mechanism with its symbols and what acts on it: what a scene's `[mechanism]` comes to.
 
 use super::algebra::V3;
-use super::{Articulated, Constraint, Load, Motion, Mount, Point, Tree};
+use super::{Constraint, Load, Motion, Mount, Point, Tree};
 use crate::expr::{Graph, Id};
 use glam::DVec3;
 use rustc_hash::FxHashMap;
@@ -91,7 +91,7 @@ pub struct Energy {
     pub potential: Id,
 }
 
-/// Positions and velocities of a mechanism in motion, and what they cost to tell.
+/// A tree in motion, with where its bodies are in the world.
 #[derive(Clone, Debug)]
 pub struct Posed {
     pub motion: Motion,
@@ -139,11 +139,5 @@ impl Posed {
     /// A vector of world axes in a body's working axes.
     pub fn into_working(&self, g: &mut Graph, body: usize, v: V3) -> V3 {
         super::algebra::transposed_times(g, &self.orientations[body], v)
-    }
-
-    /// q'' under a load.
-    pub fn accelerations(&self, g: &mut Graph, load: &Load) -> Vec<Id> {
-        let articulated = Articulated::new(g, &self.motion);
-        articulated.accelerations(g, load).joints
     }
 }

@@ -277,6 +277,12 @@ impl<'a> Reader<'a> {
 
     /// The definitions that use what is known only later, by themselves or by others.
     pub fn late(&self, declared: &[Declared<'a>]) -> Vec<bool> {
+        let mut quantities = self.scope.names(Some(Role::Quantity));
+        let is_later =
+            |name: &str| (self.scope.get(name)).map(|e| e.meaning) == Some(Meaning::Later);
+        if !quantities.any(is_later) {
+            return vec![false; declared.len()];
+        }
         let mut late: Vec<&str> = Vec::new();
         let is_quantity = |name: &str| {
             let entry = self.scope.get(name);

@@ -248,11 +248,8 @@ impl<'a> Reader<'a> {
             .copied()
             .collect();
         // One at a bound would be refused.
-        let inside = |(c, u): (&Control, &f64)| {
-            c.min.is_none_or(|min| *u > min) && c.max.is_none_or(|max| *u < max)
-        };
         let states = moved.len() - scene.controls.len();
-        if !scene.controls.iter().zip(&moved[states..]).all(inside) {
+        if !scene.controls.iter().zip(&moved[states..]).all(is_inside) {
             return None;
         }
         let written = unknowns.iter().zip(moved);
@@ -282,10 +279,7 @@ impl<'a> Reader<'a> {
             (&vec![1.0; given.len()], f64::INFINITY),
             values,
         )?;
-        let inside = |(c, u): (&Control, &f64)| {
-            c.min.is_none_or(|min| *u > min) && c.max.is_none_or(|max| *u < max)
-        };
-        if !scene.controls.iter().zip(&held).all(inside) {
+        if !scene.controls.iter().zip(&held).all(is_inside) {
             return None;
         }
         let written = scene.controls.iter().zip(&held);
@@ -451,6 +445,11 @@ fn remainder(size: f64) -> f64 {
 
 pub(super) fn is_zero(value: f64, size: f64) -> bool {
     value.is_finite() && value.abs() <= remainder(size)
+}
+
+/// Whether a control lies strictly between its bounds.
+fn is_inside((control, u): (&Control, &f64)) -> bool {
+    control.min.is_none_or(|min| *u > min) && control.max.is_none_or(|max| *u < max)
 }
 
 /// Nodes above which sizes of terms say nothing: they multiply from node to node.

@@ -319,7 +319,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     let articulated = Articulated::new(g, motion);
     let held = posed.held(g, &articulated, &mechanism.constraints);
     // What acts: given forces and those of contacts, as generalized forces.
-    let mut acting = motion.generalized(g, &mechanism.load);
+    let acting = motion.generalized(g, &mechanism.load);
     let through = held.generalized(g, &mechanism.forces);
     let needed = motion.joint_forces(g, Some(second), true, None);
     let bias = motion.joint_forces(g, None, true, None);
@@ -359,7 +359,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     let energy = g.add(mechanism.energy.kinetic, gravity);
     let rate = g.tangents(&[energy], &moving)[0];
     let mut terms = vec![rate];
-    for (i, force) in acting.iter_mut().enumerate() {
+    for (i, force) in acting.iter().enumerate() {
         let whole = g.add(*force, through[i]);
         let power = g.mul(mechanism.rates[i], whole);
         terms.push(g.neg(power));

@@ -477,6 +477,8 @@ fn identities_hold_on_random_trees() {
 #[test]
 fn dependent_coordinates_may_have_a_domain() {
     let text = r#"
+        [parameters]
+        l = 1
         [mechanism]
         gravity = [0, -9.81]
         [mechanism.bodies]
@@ -488,7 +490,7 @@ fn dependent_coordinates_may_have_a_domain() {
         [mechanism.contacts]
         end = { along = "y" }
         [mechanism.dependent]
-        rod = "asin(-y)"
+        rod = "asin(-y/l)"
         [mechanism.forces]
         x = "u"
         [controls]

@@ -114,7 +114,13 @@ impl<'a> Reader<'a> {
         all_good.then_some((constraints, names))
     }
 
-    fn known_point(&mut self, name: &str, span: Span, points: &[Named]) -> Option<(Mount, DVec3)> {
+    /// Where a named point is; one that is not known is reported.
+    pub(super) fn known_point(
+        &mut self,
+        name: &str,
+        span: Span,
+        points: &[Named],
+    ) -> Option<(Mount, DVec3)> {
         if let Some(point) = points.iter().find(|p| p.name == name) {
             return Some((point.mount, point.at));
         }

@@ -226,20 +226,12 @@ impl<'a> Reader<'a> {
         let mount = acted.links[link].mount;
         if let Some(value) = table.get("point") {
             let name = self.string(value, &format!("the point of {what}"))?;
-            let Some(point) = acted.points.iter().find(|p| p.name == name) else {
-                let help = did_you_mean(name, acted.points.iter().map(|p| p.name.as_str()));
-                let message = format!("unknown point `{}`", shorten(name));
-                self.report(Problem {
-                    help,
-                    ..Problem::at(value.span(), message, "not in [mechanism.points]")
-                });
-                return None;
-            };
-            if point.mount.body != mount.body {
+            let (on, at) = self.known_point(name, value.span(), acted.points)?;
+            if on.body != mount.body {
                 let message = format!("{what}: point `{name}` is not on this body");
                 return self.refuse(value.span(), message, "a point of another body");
             }
-            return Some(motion.arm_of(&mut self.graph, &point.mount, point.at));
+            return Some(motion.arm_of(&mut self.graph, &on, at));
         }
         let at = match table.get("at") {
             Some(value) => self.vector(value, &format!("the place of {what}"), acted.planar)?,

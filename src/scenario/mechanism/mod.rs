@@ -193,9 +193,11 @@ impl<'a> Reader<'a> {
             .map(|k| {
                 let place =
                     |i: usize| 3.0 * (1.0 + (i * POSITIONS + k) as f64 * 0.7548776662).sin();
-                let values = motion.q.iter().enumerate().map(|(i, q)| (*q, place(i)));
-                let still = motion.rates.iter().map(|v| (*v, 0.0));
-                graph.eval(&inertias, &values.chain(still).collect())
+                // Parameters too: dependent coordinates are expressions of them.
+                let mut values = self.values.clone();
+                values.extend(motion.q.iter().enumerate().map(|(i, q)| (*q, place(i))));
+                values.extend(motion.rates.iter().map(|v| (*v, 0.0)));
+                graph.eval(&inertias, &values)
             })
             .collect();
         // Where dependent coordinates are out of reach nothing is told.

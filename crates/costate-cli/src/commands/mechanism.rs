@@ -111,14 +111,14 @@ fn as_text(coordinates: &[String], state: &MechanismState) -> String {
             row(&point.velocity)
         ));
     }
-    for (k, contact) in state.contacts.iter().enumerate() {
+    for contact in &state.contacts {
         lines.push(format!(
             "  contact {} along{}: force {:.9}; velocity {:.3e}, impulse that stops it {:.9}",
             contact.name,
             row(&contact.direction),
             contact.force,
             contact.velocity,
-            state.contacts[k].impulse
+            contact.impulse
         ));
     }
     if !state.contacts.is_empty() {
