@@ -220,8 +220,8 @@ pub mod session;
 // Rooms name each other `crate::ROOM`.
 use low_level::{
     attenuation, closed_loop, diagnostics, dynamic_programming, expr, feedback, files, hamiltonian,
-    integrator, local, map, mechanism, model, numeric, program, scenario, schema, shooting, study,
-    sweep, trajectories, value,
+    hybrid, integrator, local, map, mechanism, model, numeric, program, scenario, schema, shooting,
+    study, sweep, trajectories, value,
 };
 #[cfg(feature = "hdf5")]
 use low_level::{hdf5, result};

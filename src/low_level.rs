@@ -60,6 +60,8 @@ pub mod hamiltonian;
 #[cfg(feature = "hdf5")]
 #[path = "hdf5/mod.rs"]
 pub mod hdf5;
+#[path = "hybrid/mod.rs"]
+pub mod hybrid;
 #[path = "integrator/mod.rs"]
 pub mod integrator;
 #[path = "local/mod.rs"]

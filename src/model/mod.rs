@@ -66,6 +66,41 @@ pub struct Guard {
     pub strict: bool,
 }
 
+/// What a simulation forward in time meets: the state jumps there, or the simulation ends.
+#[derive(Clone, Debug)]
+pub struct Event {
+    pub name: String,
+    /// Positive until the condition comes true.
+    pub ahead: Id,
+    /// The event counts where this is not negative as the condition comes true; elsewhere it is
+    /// passed by.
+    pub only: Option<Id>,
+    /// The state after it, of that before; `None` ends the simulation.
+    pub map: Option<Vec<Id>>,
+}
+
+/// `[simulation]`.
+#[derive(Clone, Debug)]
+pub struct Simulation {
+    /// One a state.
+    pub initial: Vec<Start>,
+    /// `None`: the final time of a finite horizon.
+    pub time: Option<f64>,
+    /// Events after which a flight ends.
+    pub events: usize,
+    /// Stored points a phase.
+    pub samples: usize,
+    /// Of `[closed_loop.law]`, or `lqr`; `None`: controls are held.
+    pub law: Option<String>,
+    /// Events after which an orbit is to come back to itself.
+    pub cycle: Option<usize>,
+    pub span: Span,
+}
+
+/// Events after which a simulation ends, and stored points a phase, unless the scene says.
+pub const DEFAULT_EVENTS: usize = 1000;
+pub const DEFAULT_PHASE_SAMPLES: usize = 50;
+
 /// What ends the trajectories in forward time.
 #[derive(Clone, Debug)]
 pub enum Horizon {
@@ -502,6 +537,8 @@ pub struct Model {
     /// `[lower, upper]` a state.
     pub region: Vec<[f64; 2]>,
     pub guards: Vec<Guard>,
+    pub events: Vec<Event>,
+    pub simulation: Option<Simulation>,
     pub shoot_out: Option<ShootOut>,
     pub homotopy: Option<Homotopy>,
     pub map: Option<MapGrid>,

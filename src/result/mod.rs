@@ -13,6 +13,7 @@ mod map_pieces;
 mod names;
 mod pieces_group;
 mod record;
+mod simulation;
 mod stored;
 mod study;
 mod table;

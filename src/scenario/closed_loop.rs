@@ -189,14 +189,22 @@ impl<'a> Reader<'a> {
             return None;
         };
         let table = self.table(value, section.key_span("initial"), "initial")?;
-        self.entries_of(&table, scope.states, "states");
-        let axes: Vec<Option<Start>> = (scope.states.iter().enumerate())
+        self.start_axes(&table, scope.states, scope.reference, random)
+    }
+
+    /// An axis, or a value, for each state; states not named are at the reference.
+    pub fn start_axes(
+        &mut self,
+        table: &Section<'a>,
+        states: &[Declared<'a>],
+        reference: Option<&[f64]>,
+        random: bool,
+    ) -> Option<Vec<Start>> {
+        self.entries_of(table, states, "states");
+        let axes: Vec<Option<Start>> = (states.iter().enumerate())
             .map(|(i, state)| match table.get(state.name) {
                 Some(value) => self.start(value, &shorten(state.name), random),
-                None => scope
-                    .reference
-                    .and_then(|r| r.get(i))
-                    .map(|x| Start::Fixed(*x)),
+                None => reference.and_then(|r| r.get(i)).map(|x| Start::Fixed(*x)),
             })
             .collect();
         let axes = axes.into_iter().collect::<Option<Vec<_>>>()?;

@@ -928,6 +928,105 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                 ],
             },
             SectionKeys {
+                name: "events",
+                about: "What a simulation forward in time (`costate simulate`) meets: one table for each event. The state\n\
+                    jumps when the event's condition comes true: a collision changes rates first, then states are\n\
+                    relabelled, and what is set is set at last. A condition that is true from the beginning must\n\
+                    become false first. V, p and u know nothing of events.",
+                keys: &[
+                    key(
+                        "when",
+                        "a comparison",
+                        "",
+                        "required",
+                        "of states: the event's condition",
+                    ),
+                    key(
+                        "where",
+                        "a comparison",
+                        "",
+                        "everywhere",
+                        "of states: elsewhere the event is passed by",
+                    ),
+                    key(
+                        "collision",
+                        "list of points",
+                        "",
+                        "none",
+                        "points of the mechanism that come to rest, plastically; held ones that are not named let go",
+                    ),
+                    key(
+                        "relabel",
+                        "table of names of states",
+                        "",
+                        "none",
+                        "`a = \"b\"`: a becomes what b was, and the rate of a coordinate with it",
+                    ),
+                    key(
+                        "set",
+                        "table of expressions",
+                        "the states'",
+                        "none",
+                        "states after the event, of those before it",
+                    ),
+                    key(
+                        "ends",
+                        "true or false",
+                        "",
+                        "false",
+                        "the simulation ends there",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "simulation",
+                about: "What `costate simulate` does unless it is told otherwise.",
+                keys: &[
+                    key(
+                        "initial",
+                        "table of numbers or `[first, last, count]`",
+                        "the states'",
+                        "the equilibrium, or the middle of the region",
+                        "where flights begin; states not named: the same",
+                    ),
+                    key(
+                        "time",
+                        "number > 0",
+                        "time",
+                        "the final time of a finite horizon; else required",
+                        "how long a flight lasts",
+                    ),
+                    key(
+                        "events",
+                        "whole number from 1 to 1000000",
+                        "1",
+                        "1000",
+                        "a flight ends with so many",
+                    ),
+                    key(
+                        "samples",
+                        "whole number from 0 to 100000",
+                        "1",
+                        "50",
+                        "stored points of each phase (the way from event to event) after its first",
+                    ),
+                    key(
+                        "law",
+                        "`\"lqr\"` or a name in `[closed_loop.law]`",
+                        "",
+                        "none: controls stay as they are at the equilibrium, or 0",
+                        "what controls",
+                    ),
+                    key(
+                        "cycle",
+                        "whole number from 1 to 1000",
+                        "1",
+                        "none",
+                        "an orbit is looked for that comes back to itself after so many events",
+                    ),
+                ],
+            },
+            SectionKeys {
                 name: "attenuation",
                 about: "For scenes with disturbances, on an infinite horizon.",
                 keys: &[

@@ -13,6 +13,7 @@ mod dissipation;
 mod document;
 mod equations;
 mod equilibrium;
+mod events;
 mod feedback;
 mod hints;
 mod keys;

@@ -323,9 +323,16 @@ impl<'a> Reader<'a> {
         self.require_horizon(root, &sections, &posed.cost);
         self.check_posed(&posed);
         let reference = posed.reference();
+        let mechanism = moved.as_ref().and_then(|m| m.mechanism.as_ref());
+        let events = match sections.get("events") {
+            Some(section) => self.events(section, &declared.states, mechanism),
+            None => Some(Vec::new()),
+        };
         let settings = self.settings(&sections, &declared, &posed, reference.as_deref());
         // [closed_loop] comes last, for it brings names of its own.
         let loops = self.loops(&sections, &declared, &posed, reference.as_deref());
+        let simulation = (sections.get("simulation"))
+            .and_then(|s| self.simulation(s, &declared.states, reference.as_deref()));
         self.check_turns(&sections, &posed, (&settings, &loops));
         Some(Model {
             title: title.unwrap_or_else(|| stem(file_name)),
@@ -345,6 +352,8 @@ impl<'a> Reader<'a> {
             running: posed.cost.running?,
             region: posed.region?,
             guards: posed.guards,
+            events: events?,
+            simulation,
             shoot_out: settings.shoot_out,
             homotopy: settings.homotopy,
             map: settings.map,

@@ -9,6 +9,7 @@ mod laws;
 mod loops;
 mod maps;
 mod page;
+mod simulations;
 mod studies;
 mod values;
 
@@ -20,13 +21,14 @@ pub use loops::{
 };
 pub use maps::{MAP_BEYOND, MAP_CHECK, MAP_PIECES};
 pub use page::markdown;
+pub use simulations::{CYCLES, SIMULATION, SIMULATION_EVENTS, SIMULATION_SAMPLES};
 pub use studies::{
     ATTENUATION, ATTENUATION_CAUSTIC, ATTENUATION_REGIONS, STUDY, STUDY_TRAJECTORIES,
 };
 pub use values::{CAUSTIC, EQUAL_COST, FOLDS, MAP, POINTS, POINTS_SHEETS, TRAJECTORIES};
 
 /// Every group, in the order in which the reference shows them.
-pub static GROUPS: [&Group; 26] = [
+pub static GROUPS: [&Group; 30] = [
     &TRAJECTORIES,
     &CAUSTIC,
     &POINTS,
@@ -39,6 +41,10 @@ pub static GROUPS: [&Group; 26] = [
     &MAP_CHECK,
     &STUDY,
     &STUDY_TRAJECTORIES,
+    &SIMULATION,
+    &SIMULATION_EVENTS,
+    &SIMULATION_SAMPLES,
+    &CYCLES,
     &FEEDBACK,
     &CLOSED_LOOP,
     &CLOSED_LOOP_LAWS,

@@ -33,6 +33,8 @@ pub enum SessionError {
     NothingSwept { outside: usize },
     #[error("the scene has no [study]")]
     NoStudy,
+    #[error("how long to simulate? Give [simulation] time = ..., or --time")]
+    NoTime,
     #[error("the scene has no [attenuation]")]
     NoAttenuation,
     #[error("the scene has no [feedback]: no law to fit")]

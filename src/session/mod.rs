@@ -9,6 +9,7 @@ mod loops;
 mod mechanism;
 mod pass;
 mod progress;
+mod simulation;
 pub mod summary;
 mod wanted;
 
@@ -23,6 +24,7 @@ pub use mechanism::{
 };
 pub use pass::{Outcome, Pass, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
+pub use simulation::{ControlledBy, Simulated, SimulationOptions, end_name};
 pub use wanted::{Kept, Listed, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};
@@ -255,16 +257,7 @@ impl<'s> Session<'s> {
     /// the scene cannot be swept for first guesses; device failures. A state without an answer is
     /// no error, nor is one that the session's deadline has left out (see [`Solved::is_stopped`]).
     pub fn solve(&self, states: &[f64]) -> Result<Solved, SessionError> {
-        let n = self.scene.model.states.len();
-        if !states.len().is_multiple_of(n) {
-            let given = states.len();
-            return Err(SessionError::Components { given, states: n });
-        }
-        if let Some(k) = states.iter().position(|x| !x.is_finite()) {
-            let (state, component) = (k / n, k % n);
-            return Err(SessionError::NotFinite { state, component });
-        }
-        self.scene.model.check_turns(states)?;
+        self.check_states(states)?;
         attenuation::refuse(self.scene)?;
         let Scene {
             model, hamiltonian, ..
@@ -279,6 +272,20 @@ impl<'s> Session<'s> {
         let (plan, _, answers) =
             value::solve_states(model, hamiltonian, backend, choices, states, &mut shown)?;
         Ok(Solved { plan, answers })
+    }
+
+    /// Refuses what is no list of states.
+    fn check_states(&self, states: &[f64]) -> Result<(), SessionError> {
+        let n = self.scene.model.states.len();
+        if !states.len().is_multiple_of(n) {
+            let given = states.len();
+            return Err(SessionError::Components { given, states: n });
+        }
+        if let Some(k) = states.iter().position(|x| !x.is_finite()) {
+            let (state, component) = (k / n, k % n);
+            return Err(SessionError::NotFinite { state, component });
+        }
+        Ok(self.scene.model.check_turns(states)?)
     }
 
     /// The map that the scene's `[map] error` asks for, as `costate homotopy` makes it.

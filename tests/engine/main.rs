@@ -32,6 +32,7 @@ mod scenarios;
 mod scene_backends;
 mod scene_reference;
 mod shooting;
+mod simulation;
 mod taylor;
 
 /// The directory of the whole project.

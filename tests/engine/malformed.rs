@@ -367,3 +367,16 @@ fn files_that_cannot_be_read() {
             .starts_with("cannot read no/such/scene.toml")
     );
 }
+
+#[test]
+fn events() {
+    check(include_str!("../malformed/events.cases"));
+}
+
+#[test]
+fn events_of_mechanisms() {
+    check_edits(
+        MECHANISM,
+        include_str!("../malformed/mechanism_events.cases"),
+    );
+}

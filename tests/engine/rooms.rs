@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// From the ground up; a room may import what stands before it. ARCHITECTURE.md draws them.
-const FLOORS: [&str; 28] = [
+const FLOORS: [&str; 29] = [
     "schema",
     "diagnostics",
     "numeric",
@@ -22,6 +22,7 @@ const FLOORS: [&str; 28] = [
     "integrator",
     "local",
     "backend",
+    "hybrid",
     "shooting",
     "sweep",
     "dynamic_programming",

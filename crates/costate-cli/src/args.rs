@@ -53,6 +53,9 @@ pub enum Command {
     /// The mechanism of a scene at chosen states: mass matrix, forces, accelerations and their
     /// derivatives, energies, points, contacts.
     Mechanism(MechanismArgs),
+    /// Simulate forward in time with the scene's [events]: where they come, the states after them,
+    /// and orbits that come back to themselves.
+    Simulate(SimulateArgs),
     /// Print the reference of scenes, or of the result file, in Markdown.
     Reference {
         /// What of.
@@ -114,6 +117,45 @@ pub struct MechanismArgs {
     /// equilibrium's value) [default: the equilibrium, or the middle of the region]
     #[arg(long, value_name = "FILE")]
     pub points: Option<PathBuf>,
+}
+
+#[derive(Args, Debug, Clone)]
+pub struct SimulateArgs {
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// A state to begin with; states not named are at the equilibrium, or in the middle of the
+    /// region. May be repeated [default: [simulation] initial]
+    #[arg(long, value_name = "NAME=VALUE,...", allow_hyphen_values = true)]
+    pub at: Vec<String>,
+    /// States to begin with: a CSV file whose header names states.
+    #[arg(long, value_name = "FILE.csv")]
+    pub points: Option<PathBuf>,
+    /// How long a flight lasts [default: the scene's]
+    #[arg(long, value_parser = duration, allow_negative_numbers = true)]
+    pub time: Option<f64>,
+    /// End with so many events [default: the scene's, or 1000]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub events: Option<u32>,
+    /// Stored points of each phase, from event to event, after its first; 0 stores none [default:
+    /// the scene's, or 50]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=100_000))]
+    pub samples: Option<u32>,
+    /// What controls: `lqr`, or a law in [closed_loop.law] [default: the scene's; else controls
+    /// stay as they are at the equilibrium, or 0]
+    #[arg(long, value_name = "NAME")]
+    pub law: Option<String>,
+    /// Let the law of this weights file control.
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "law")]
+    pub weights: Option<PathBuf>,
+    /// Look for the orbit that comes back to itself after so many events, near each state, and for
+    /// its multipliers; flights begin there then [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub cycle: Option<u32>,
+    /// The result file [default: out/<scene>_simulation.h5]
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub numerics: NumericsArgs,
 }
 
 /// Where and how exactly to integrate.
@@ -509,6 +551,13 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(time) if time > 0.0 && time <= 1e6 => Ok(time),
         _ => Err("seconds, above 0 and at most 1e6".to_owned()),
+    }
+}
+
+pub fn duration(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(time) if time > 0.0 && f64::is_finite(time) => Ok(time),
+        _ => Err("a time above 0, in the scene's unit".to_owned()),
     }
 }
 

@@ -12,7 +12,8 @@ use clap::Parser;
 #[cfg(feature = "report")]
 use commands::report;
 use commands::{
-    attenuation, bench, check, check_least, evaluate, export, fit, mechanism, run, study, value,
+    attenuation, bench, check, check_least, evaluate, export, fit, mechanism, run, simulate, study,
+    value,
 };
 use costate::low_level::diagnostics::{printable, unprintable};
 use error::CliError;
@@ -47,6 +48,7 @@ fn main() -> ExitCode {
         Command::CheckLeast(args) => check_least::check_least(&args),
         Command::Study(args) => study::study(&args),
         Command::Attenuation(args) => attenuation::attenuation(&args),
+        Command::Simulate(args) => simulate::simulate(&args),
         Command::Value(args) => value::value(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Bench(args) => bench::bench(&args),

@@ -5,7 +5,7 @@ use super::Structure;
 use super::names::RATE;
 use crate::diagnostics::{Problem, did_you_mean, shorten};
 use crate::expr::Id;
-use crate::mechanism::{Articulated, Constraint, Mount, Named, Tree};
+use crate::mechanism::{Articulated, Constraint, Mount, Named, Posed, Tree};
 use crate::model::Span;
 use crate::scenario::build::Use;
 use crate::scenario::reader::{Reader, Section, Value};
@@ -210,9 +210,43 @@ impl<'a> Reader<'a> {
             );
             return self.refuse(span.clone(), message, "as many as are held, or none");
         }
+        let (least, fastest) = self.freedom(&structure.posed, constraints);
+        if least < ROUNDING {
+            let message = "the contacts hold the same twice, or what cannot move: their forces are not determined";
+            return self.refuse(
+                span.clone(),
+                message,
+                "remove one, or a direction of it (`along`)",
+            );
+        }
+        if dependent > 0 && fastest > ROUNDING {
+            let message = "the dependent coordinates do not hold the contacts: a held point moves";
+            let problem = Problem::at(
+                span.clone(),
+                message,
+                format!("up to {fastest:.3e} at rates of about 1"),
+            );
+            self.report(problem.with_help("each dependent coordinate is what the others make it while the points stay where they are"));
+            return None;
+        }
+        Some(())
+    }
+
+    /// Whether constraints determine their forces.
+    pub(in crate::low_level::scenario) fn are_independent(
+        &self,
+        posed: &Posed,
+        constraints: &[Constraint],
+    ) -> bool {
+        self.freedom(posed, constraints).0 >= ROUNDING
+    }
+
+    /// Of constraints, at states of about 1: the least mobility along any combination of them, of
+    /// the largest that the points have when they are free; and the fastest velocity along one.
+    fn freedom(&self, posed: &Posed, constraints: &[Constraint]) -> (f64, f64) {
         let mut graph = self.graph.clone();
-        let articulated = Articulated::new(&mut graph, &structure.posed.motion);
-        let held = structure.posed.held(&mut graph, &articulated, constraints);
+        let articulated = Articulated::new(&mut graph, &posed.motion);
+        let held = posed.held(&mut graph, &articulated, constraints);
         let mobility = held.mobility().concat();
         let velocities = held.velocities(&mut graph);
         let symbols: Vec<Id> = (graph.reachable(&[&mobility[..], &velocities].concat()))
@@ -228,7 +262,7 @@ impl<'a> Reader<'a> {
                 })
             })
             .collect();
-        let free = structure.posed.held(&mut graph, &articulated, &anyway);
+        let free = posed.held(&mut graph, &articulated, &anyway);
         let free: Vec<Id> = (0..anyway.len()).map(|k| free.mobility()[k][k]).collect();
         let n = constraints.len();
         let (mut least, mut fastest) = (f64::INFINITY, 0.0f64);
@@ -254,24 +288,6 @@ impl<'a> Reader<'a> {
             least = least.min(share);
             fastest = speeds.iter().fold(fastest, |a, v| a.max(v.abs()));
         }
-        if least < ROUNDING {
-            let message = "the contacts hold the same twice, or what cannot move: their forces are not determined";
-            return self.refuse(
-                span.clone(),
-                message,
-                "remove one, or a direction of it (`along`)",
-            );
-        }
-        if dependent > 0 && fastest > ROUNDING {
-            let message = "the dependent coordinates do not hold the contacts: a held point moves";
-            let problem = Problem::at(
-                span.clone(),
-                message,
-                format!("up to {fastest:.3e} at rates of about 1"),
-            );
-            self.report(problem.with_help("each dependent coordinate is what the others make it while the points stay where they are"));
-            return None;
-        }
-        Some(())
+        (least, fastest)
     }
 }

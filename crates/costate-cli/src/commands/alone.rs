@@ -1,6 +1,6 @@
 //! Commands that do one part of a scene, into a result file of its own.
 
-use crate::args::{NumericsArgs, RunArgs};
+use crate::args::{NumericsArgs, RunArgs, SceneArgs};
 use crate::common::load::load;
 use crate::common::{Kind, check_out, provenance};
 use crate::error::CliError;
@@ -13,11 +13,12 @@ use costate::low_level::result::RunRecord;
 use costate::run::{Provenance, output_of};
 use costate::scene::Scene;
 use costate::session::{Session, SessionError};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Such a command, begun: the scene is read, and the result file has its hidden name.
 pub struct Alone {
     pub scene: Scene,
+    path: PathBuf,
     pub terminal: Terminal,
     pub provenance: Provenance,
     numerics: NumericsArgs,
@@ -32,30 +33,46 @@ impl Alone {
         ending: &str,
         asks: impl FnOnce(&Model) -> Result<(), SessionError>,
     ) -> Result<(Self, Box<dyn Backend>, ResultFile), CliError> {
-        let provenance = provenance();
-        check_out(
-            args.out.as_deref(),
-            &[Kind::Result],
-            &[&args.scene.scenario],
-        )?;
         if args.grid_guesses {
             return Err(GridRefusal::Nothing.into());
         }
-        let scene = load(&args.scene)?;
+        let begun = Self::read(
+            (&args.scene, &args.numerics, args.seed),
+            args.out.as_deref(),
+            asks,
+        )?;
+        let backend = begun.numerics.open(&begun.scene.model)?;
+        let file = begun.create(args.out.as_deref(), ending)?;
+        Ok((begun, backend, file))
+    }
+
+    /// The scene alone.
+    pub fn read(
+        (scene, numerics, seed): (&SceneArgs, &NumericsArgs, u64),
+        out: Option<&Path>,
+        asks: impl FnOnce(&Model) -> Result<(), SessionError>,
+    ) -> Result<Self, CliError> {
+        let provenance = provenance();
+        check_out(out, &[Kind::Result], &[&scene.scenario])?;
+        let path = scene.scenario.clone();
+        let terminal = Terminal::new(scene.print);
+        let scene = load(scene)?;
         asks(&scene.model)?;
-        let backend = args.numerics.open(&scene.model)?;
-        let terminal = Terminal::new(args.scene.print);
-        terminal.say(&scene.model.title)?;
-        let own = || output_of(&args.scene.scenario, ending);
-        let file = ResultFile::create(args.out.clone().unwrap_or_else(own))?;
-        let begun = Self {
+        Ok(Self {
             scene,
+            path,
             terminal,
             provenance,
-            numerics: args.numerics.clone(),
-            seed: args.seed,
-        };
-        Ok((begun, backend, file))
+            numerics: numerics.clone(),
+            seed,
+        })
+    }
+
+    /// The result file, with its hidden name.
+    pub fn create(&self, out: Option<&Path>, ending: &str) -> Result<ResultFile, CliError> {
+        self.terminal.say(&self.scene.model.title)?;
+        let own = || output_of(&self.path, ending);
+        Ok(ResultFile::create(out.map_or_else(own, Path::to_path_buf))?)
     }
 
     pub fn session(&self, backend: Box<dyn Backend>) -> Session<'_> {

@@ -12,5 +12,6 @@ pub mod mechanism;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod run;
+pub mod simulate;
 pub mod study;
 pub mod value;

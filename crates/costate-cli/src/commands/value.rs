@@ -1,6 +1,7 @@
 //! `costate value`: V, p and u interpolated from a result file.
 
 use crate::args::{PrecisionChoice, ValueArgs};
+use crate::common::points::{TimeColumn, argument, number};
 use crate::common::{
     Kind, check_out, csv_text, note_ended_early, open, points, print, print_json, provenance,
 };
@@ -97,24 +98,20 @@ impl Wanted {
             .is_some_and(|p| p.states() > model.states.len());
         let check = |t: f64| known_time(model, knows, t);
         let n = model.states.len();
-        let time = Time {
-            knows,
+        let time = || TimeColumn {
+            name: model.time_name(),
+            known: knows,
             check: &check,
         };
-        let mut grid = grid(&args.grid, model, &time)?;
+        let mut grid = grid(&args.grid, model, &time())?;
         let (mut states, mut times) = (Vec::new(), Vec::new());
         for at in &args.at {
-            let (x, t) = single(at, model, &time)?;
+            let (x, t) = points::single(at, model, Some(&time()))?;
             states.extend(x);
             times.push(t);
         }
         if let Some(path) = &args.points {
-            let column = points::TimeColumn {
-                name: model.time_name(),
-                known: knows,
-                check: &check,
-            };
-            let (x, t) = points::read_with_times(path, model, Some(column))?;
+            let (x, t) = points::read_with_times(path, model, Some(time()))?;
             states.extend(x);
             times.extend(t);
         }
@@ -362,66 +359,12 @@ fn known_time(model: &Model, knows: bool, t: f64) -> Result<(), String> {
     }
 }
 
-/// The time as an argument of V.
-struct Time<'t> {
-    /// Whether the file's map has it as an axis.
-    knows: bool,
-    check: &'t dyn Fn(f64) -> Result<(), String>,
-}
-
-/// Number of a state, or of what follows the states: the time.
-fn argument(name: &str, model: &Model, time: &Time<'_>) -> Result<usize, String> {
-    let last = model.time_name();
-    if name == last {
-        return Ok(model.states.len());
-    }
-    model.state(name).map_err(|reason| match time.knows {
-        true => format!("{reason}; the map's other axis is the time, `{last}`"),
-        false => reason,
-    })
-}
-
-/// `name=value,...`; states not named are at the reference point, a time that is not given is 0.
-fn single(text: &str, model: &Model, time: &Time<'_>) -> Result<(Vec<f64>, f64), CliError> {
-    let wrong = |reason: String| PlaceError::Malformed {
-        option: "at",
-        text: shorten(text),
-        reason,
-    };
-    let mut x = model.reference().to_vec();
-    x.push(0.0);
-    let mut given = Vec::new();
-    for part in text.split(',') {
-        let (name, value) = part.split_once('=').ok_or_else(|| {
-            wrong(format!(
-                "`{part}` is not NAME=VALUE; several are separated by commas"
-            ))
-        })?;
-        let state = argument(name.trim(), model, time).map_err(&wrong)?;
-        if given.contains(&state) {
-            return Err(wrong(format!("`{}` stands there twice", name.trim())).into());
-        }
-        given.push(state);
-        x[state] = number(value).map_err(&wrong)?;
-        (model.check_turns_of(state, x[state])).map_err(|error| wrong(error.to_string()))?;
-    }
-    let t = x.pop().unwrap_or(0.0);
-    (time.check)(t).map_err(&wrong)?;
-    Ok((x, t))
-}
-
-fn number(text: &str) -> Result<f64, String> {
-    let value: Option<f64> = text.trim().parse().ok();
-    (value.filter(|v| v.is_finite()))
-        .ok_or_else(|| format!("`{}` is not a finite number", shorten(text.trim())))
-}
-
 /// The axes of `--grid name=first:last:count` or `name=value`, repeated or separated by commas, the
 /// time's last; `None` without any.
 fn grid(
     texts: &[String],
     model: &Model,
-    time: &Time<'_>,
+    time: &TimeColumn<'_>,
 ) -> Result<Option<Vec<Vec<f64>>>, CliError> {
     if texts.is_empty() {
         return Ok(None);
@@ -455,11 +398,11 @@ fn grid_axis(
     text: &str,
     given: &mut Vec<usize>,
     model: &Model,
-    time: &Time<'_>,
+    time: &TimeColumn<'_>,
 ) -> Result<(usize, Vec<f64>), String> {
     let shape = || "expected NAME=FIRST:LAST:COUNT or NAME=VALUE".to_owned();
     let (name, range) = text.split_once('=').ok_or_else(shape)?;
-    let state = argument(name.trim(), model, time)?;
+    let state = argument(name.trim(), model, Some(time))?;
     if given.contains(&state) {
         return Err(format!("`{}` stands there twice", name.trim()));
     }

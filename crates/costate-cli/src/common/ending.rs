@@ -1,10 +1,11 @@
 //! When a command ends before it is done: at its time limit, or when a signal asks it to.
 
-use crate::args::{FitArgs, RunArgs};
+use crate::args::{FitArgs, RunArgs, SimulateArgs};
 use crate::error::CliError;
-use costate::backend::Deadline;
+use costate::backend::{BackendError, Deadline};
 use costate::low_level::files::stop_at_signals;
 use costate::run::Provenance;
+use costate::session::SessionError;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -39,6 +40,11 @@ impl Ending {
         Self::saying(NOTHING, limit, quiet, provenance.clock)
     }
 
+    /// The same for `simulate`, which shows nothing then.
+    pub fn of_simulation(args: &SimulateArgs, provenance: &Provenance) -> Self {
+        Self::saying(NOTHING, None, args.scene.print.quiet, provenance.clock)
+    }
+
     fn saying(what: &'static str, limit: Option<f64>, quiet: bool, clock: Instant) -> Self {
         let signal = Arc::new(Mutex::new(None));
         let asked = Arc::clone(&signal);
@@ -66,6 +72,16 @@ impl Ending {
     pub fn nothing(&self, why: impl Into<String>) -> CliError {
         let (by, why) = (self.cause(), why.into());
         CliError::Nothing { by, why }
+    }
+
+    /// The same of an error that may be that the time is over.
+    pub fn nothing_of(&self, error: SessionError) -> CliError {
+        match error {
+            SessionError::Backend(BackendError::OutOfTime) => {
+                self.nothing("the simulation was not done")
+            }
+            other => other.into(),
+        }
     }
 
     fn cause(&self) -> String {

@@ -1,6 +1,6 @@
 //! Reading states from a CSV file.
 
-use crate::error::PointsError;
+use crate::error::{PlaceError, PointsError};
 use costate::low_level::diagnostics::{did_you_mean, shorten};
 use costate::low_level::files::{is_hdf5, read_bytes};
 use costate::low_level::model::Model;
@@ -81,6 +81,64 @@ pub fn read_with_times(
         });
     }
     Ok((points, times))
+}
+
+/// A state as typed, `name=value,...`, and a time, 0 where it is not given; states not named are at
+/// the reference point.
+pub fn single(
+    text: &str,
+    model: &Model,
+    time: Option<&TimeColumn<'_>>,
+) -> Result<(Vec<f64>, f64), PlaceError> {
+    let wrong = |reason: String| PlaceError::Malformed {
+        option: "at",
+        text: shorten(text),
+        reason,
+    };
+    let mut x = model.reference().to_vec();
+    x.push(0.0);
+    let mut given = Vec::new();
+    for part in text.split(',') {
+        let (name, value) = part.split_once('=').ok_or_else(|| {
+            wrong(format!(
+                "`{part}` is not NAME=VALUE; several are separated by commas"
+            ))
+        })?;
+        let state = argument(name.trim(), model, time).map_err(&wrong)?;
+        if given.contains(&state) {
+            return Err(wrong(format!("`{}` stands there twice", name.trim())));
+        }
+        given.push(state);
+        x[state] = number(value).map_err(&wrong)?;
+        (model.check_turns_of(state, x[state])).map_err(|error| wrong(error.to_string()))?;
+    }
+    let t = x.pop().unwrap_or(0.0);
+    if let Some(time) = time {
+        (time.check)(t).map_err(&wrong)?;
+    }
+    Ok((x, t))
+}
+
+/// Number of a state, or of what follows the states: the time.
+pub fn argument(name: &str, model: &Model, time: Option<&TimeColumn<'_>>) -> Result<usize, String> {
+    if time.is_some_and(|time| time.name == name) {
+        return Ok(model.states.len());
+    }
+    model
+        .state(name)
+        .map_err(|reason| match time.filter(|time| time.known) {
+            Some(time) => format!(
+                "{reason}; the map's other axis is the time, `{}`",
+                time.name
+            ),
+            None => reason,
+        })
+}
+
+pub fn number(text: &str) -> Result<f64, String> {
+    let value: Option<f64> = text.trim().parse().ok();
+    (value.filter(|v| v.is_finite()))
+        .ok_or_else(|| format!("`{}` is not a finite number", shorten(text.trim())))
 }
 
 /// What a file is that is no table.

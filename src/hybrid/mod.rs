@@ -1,0 +1,10 @@
+//! Simulation forward in time of systems whose states jump at events: flights between events, which
+//! are located to rounding, and the maps that they bring. Orbits that come back to themselves, and
+//! how their neighbours do.
+
+mod cycle;
+mod flight;
+mod watch;
+
+pub use cycle::{Cycle, CycleError};
+pub use flight::{End, Flights, Jump, Options, Sample, Simulator};

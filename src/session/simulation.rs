@@ -1,0 +1,343 @@
+//! Simulation forward in time, with the events of a scene.
+
+use super::{Session, SessionError};
+use crate::closed_loop::{Initial, LQR, Law, LawError, Laws, MAP, Weights};
+use crate::expr::{Graph, Id};
+use crate::hamiltonian::clamped;
+use crate::hybrid::{Cycle, CycleError, End, Flights, Options, Simulator};
+use crate::model::{
+    DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Horizon, Method, Model, Precision,
+};
+use crate::program::Program;
+use crate::scene::Scene;
+use crate::sweep::Numerics;
+use rustc_hash::FxHashMap;
+
+/// What is asked of a simulation in place of what the scene's `[simulation]` says.
+#[derive(Clone, Debug, Default)]
+pub struct SimulationOptions {
+    /// How long a flight lasts.
+    pub time: Option<f64>,
+    /// Events after which it ends.
+    pub events: Option<usize>,
+    /// Stored points of a phase after its first; 0: none at all.
+    pub samples: Option<usize>,
+    /// What controls.
+    pub law: Option<ControlledBy>,
+}
+
+/// What controls a simulated system.
+#[derive(Clone, Debug)]
+pub enum ControlledBy {
+    /// `lqr`, or a law of the scene's `[closed_loop.law]`.
+    Law(String),
+    /// The law of a weights file.
+    Weights(Weights),
+    /// Controls stay as they are at the equilibrium, or 0.
+    Nothing,
+}
+
+/// A simulation as it went.
+#[derive(Clone, Debug)]
+pub struct Simulated {
+    /// `[flight][n]`: where flights began.
+    pub initial: Vec<f64>,
+    /// How they went.
+    pub flights: Flights,
+    /// `[sample][control]`.
+    pub u: Vec<f64>,
+    /// Names of events, then of guards at which a flight may end: `event_NAME`, `guard_NAME`.
+    pub names: Vec<String>,
+    /// How many of these are events.
+    pub events: usize,
+    /// The law's name; none where controls are held.
+    pub law: Option<String>,
+    /// Integration method.
+    pub method: Method,
+    /// Arithmetic of the integration.
+    pub precision: Precision,
+    /// Relative tolerance of a step.
+    pub rtol: f64,
+    /// How long a flight was to last.
+    pub time: f64,
+}
+
+impl Simulated {
+    /// How a flight ended, in a word: `time`, `events`, `event_NAME`, `guard_NAME`, `zeno`,
+    /// `not_located`, `no_state`, or that of a failed integration.
+    #[must_use]
+    pub fn status(&self, flight: usize) -> &str {
+        end_name(&self.names, self.flights.end[flight])
+    }
+
+    /// How many flights ended in each way.
+    #[must_use]
+    pub fn by_status(&self) -> std::collections::BTreeMap<&str, usize> {
+        let mut counts = std::collections::BTreeMap::new();
+        for flight in 0..self.flights.end.len() {
+            *counts.entry(self.status(flight)).or_insert(0) += 1;
+        }
+        counts
+    }
+}
+
+/// An end in a word; `names` are those of the events and guards at which flights end.
+#[must_use]
+pub fn end_name(names: &[String], end: End) -> &str {
+    match end {
+        End::At(event) => names.get(event).map_or("?", String::as_str),
+        other => other.name(),
+    }
+}
+
+/// A scene under a law, ready to be simulated.
+struct Prepared {
+    simulator: Simulator,
+    options: Options,
+    /// Controls as functions of the state.
+    control: Program,
+    simulated: Simulated,
+}
+
+impl Session<'_> {
+    /// Simulates forward in time from states (`[flight][component]`; `None`: those of the scene's
+    /// `[simulation]`), with the scene's events.
+    ///
+    /// ```
+    /// # use costate::{Scene, Session};
+    /// use costate::session::SimulationOptions;
+    /// let scene = Scene::parse(r#"
+    ///     # A ball that bounces.
+    ///     states = { h = {}, v = {} }
+    ///     controls = {}
+    ///     dynamics = { h = "v", v = "-9.81" }
+    ///     cost = { running = "0", terminal = "0", final_time = 1 }
+    ///     region = { h = [0, 2], v = [-5, 5] }
+    ///     events.floor = { when = "h <= 0", set = { v = "-0.8*v" } }
+    /// "#, "scene.toml")?;
+    /// let options = SimulationOptions { events: Some(1), ..SimulationOptions::default() };
+    /// let done = Session::new(&scene).simulate(Some(&[1.0, 0.0]), &options)?;
+    /// let fall = (2.0f64 / 9.81).sqrt();
+    /// assert!((done.flights.t[0] - fall).abs() < 1e-9);
+    /// assert!((done.flights.last[1] - 0.8 * 9.81 * fall).abs() < 1e-8);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`SessionError::Components`], [`SessionError::NotFinite`], [`SessionError::NoTime`]; what is
+    /// wrong with a law; device failures. How a flight ends is no error.
+    pub fn simulate(
+        &self,
+        from: Option<&[f64]>,
+        options: &SimulationOptions,
+    ) -> Result<Simulated, SessionError> {
+        let initial = self.starts(from)?;
+        let Prepared {
+            mut simulator,
+            options,
+            control,
+            simulated,
+        } = self.prepare_simulation(options)?;
+        let flights = simulator.fly(&initial, &options)?;
+        let u = (flights.samples.iter())
+            .flat_map(|s| control.eval(&s.x))
+            .collect();
+        Ok(Simulated {
+            initial,
+            flights,
+            u,
+            ..simulated
+        })
+    }
+
+    /// Orbits near states (as for [`Session::simulate`]) that come back to themselves after so many
+    /// events.
+    ///
+    /// # Errors
+    /// As [`Session::simulate`]. That no orbit is found is no error of the session.
+    pub fn cycles(
+        &self,
+        near: Option<&[f64]>,
+        events: usize,
+        options: &SimulationOptions,
+    ) -> Result<Vec<Result<Cycle, CycleError>>, SessionError> {
+        let near = self.starts(near)?;
+        let mut prepared = self.prepare_simulation(&SimulationOptions {
+            samples: Some(0),
+            ..options.clone()
+        })?;
+        let n = self.scene.model.states.len();
+        (near.chunks(n))
+            .map(|guess| {
+                let found = prepared.simulator.cycle(guess, events, &prepared.options)?;
+                Ok(found)
+            })
+            .collect()
+    }
+
+    fn starts(&self, from: Option<&[f64]>) -> Result<Vec<f64>, SessionError> {
+        let model = &self.scene.model;
+        let n = model.states.len();
+        match (from, &model.simulation) {
+            (Some(given), _) => {
+                self.check_states(given)?;
+                Ok(given.to_vec())
+            }
+            (None, Some(asked)) => Ok(Initial::of_axes(model, &asked.initial)
+                .map_err(SessionError::Loop)?
+                .x),
+            (None, None) => Ok(model.reference()[..n].to_vec()),
+        }
+    }
+
+    fn prepare_simulation(&self, asked: &SimulationOptions) -> Result<Prepared, SessionError> {
+        let model = &self.scene.model;
+        let given = model.simulation.as_ref();
+        let time = (asked.time)
+            .or(given.and_then(|s| s.time))
+            .or(model.final_time())
+            .ok_or(SessionError::NoTime)?;
+        let numerics = Numerics::choose(model, self.backend.as_ref(), self.choices)?;
+        let law = self.law_of(asked.law.as_ref())?;
+        let mut system = Closed::new(model, law.as_ref());
+        let guards: Vec<Event> = (model.guards.iter())
+            .map(|guard| Event {
+                name: guard.name.clone(),
+                ahead: guard.condition.expr,
+                only: None,
+                map: None,
+            })
+            .collect();
+        let [events, guards] = [&model.events, &guards].map(|all| system.events(all));
+        let rates: Vec<Id> = model.dynamics.iter().map(|f| f.expr).collect();
+        let rates = system.closed(&rates);
+        let controls: Vec<Id> = model.controls.iter().map(|c| c.variable.symbol).collect();
+        let controls = system.closed(&controls);
+        let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
+        let samples = (asked.samples)
+            .or(given.map(|s| s.samples))
+            .unwrap_or(DEFAULT_PHASE_SAMPLES);
+        let operations = system.graph.reachable(&rates).len();
+        if operations > crate::sweep::MOST_OPERATIONS {
+            return Err(crate::sweep::PlanError::TooLong { operations }.into());
+        }
+        let simulator = Simulator::new(
+            &mut system.graph,
+            (&x, &rates),
+            (&events, &guards),
+            (self.backend.as_ref(), numerics.method, numerics.precision),
+            samples > 0,
+        )?;
+        let widths = model.region.iter().map(|[lo, hi]| hi - lo);
+        let options = Options {
+            time,
+            events: (asked.events)
+                .or(given.map(|s| s.events))
+                .unwrap_or(DEFAULT_EVENTS),
+            samples,
+            rtol: numerics.rtol,
+            atol: widths.map(|width| numerics.atol * width).collect(),
+            step: model.integrator.step.unwrap_or(0.0),
+            max_steps: u32::try_from(model.integrator.max_steps).unwrap_or(u32::MAX),
+            deadline: self.choices.deadline,
+        };
+        let named = |kind: &str, all: &[Event]| -> Vec<String> {
+            all.iter().map(|e| format!("{kind}_{}", e.name)).collect()
+        };
+        Ok(Prepared {
+            simulator,
+            options,
+            control: Program::lower(&system.graph, &x, &controls),
+            simulated: Simulated {
+                initial: Vec::new(),
+                flights: Flights::default(),
+                u: Vec::new(),
+                names: [named("event", &events), named("guard", &guards)].concat(),
+                events: events.len(),
+                law: law.map(|l| l.name),
+                method: numerics.method,
+                precision: numerics.precision,
+                rtol: numerics.rtol,
+                time,
+            },
+        })
+    }
+
+    /// The law that is asked for, or the scene's; `None` where controls are held.
+    fn law_of(&self, asked: Option<&ControlledBy>) -> Result<Option<Law>, SessionError> {
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let own = model.simulation.as_ref().and_then(|s| s.law.clone());
+        let own = own.map(ControlledBy::Law);
+        let closed_loop = model.closed_loop.as_ref();
+        let laws = || Laws::new(model, hamiltonian, closed_loop.and_then(|c| c.track));
+        Ok(match asked.or(own.as_ref()) {
+            None | Some(ControlledBy::Nothing) => None,
+            Some(ControlledBy::Weights(w)) => Some(laws().weights(&w.name, &w.text, &w.file)?),
+            Some(ControlledBy::Law(name)) if name == LQR => Some(laws().lqr()?),
+            Some(ControlledBy::Law(name)) => {
+                let given = closed_loop.map_or(&[][..], |c| &c.given);
+                let Some(found) = given.iter().find(|g| g.name == *name) else {
+                    let known = given.iter().map(|g| g.name.as_str()).chain([LQR]);
+                    let help = match name == MAP {
+                        true => "the law of a map is simulated by `costate evaluate`, which knows no events".to_owned(),
+                        false => format!("known: {}", known.collect::<Vec<_>>().join(", ")),
+                    };
+                    let name = crate::diagnostics::shorten(name);
+                    return Err(LawError::Unknown { name, help }.into());
+                };
+                Some(laws().given(found)?)
+            }
+        })
+    }
+}
+
+/// A scene's expressions as functions of its states: parameters are numbers, disturbances 0, and
+/// controls those of a law.
+struct Closed {
+    graph: Graph,
+    replaced: FxHashMap<Id, Id>,
+}
+
+impl Closed {
+    fn new(model: &Model, law: Option<&Law>) -> Self {
+        let mut graph = law.map_or_else(|| model.graph.clone(), |law| law.graph.clone());
+        let mut replaced = FxHashMap::default();
+        for parameter in &model.parameters {
+            replaced.insert(parameter.symbol, graph.constant(parameter.value));
+        }
+        for disturbance in &model.disturbances {
+            replaced.insert(disturbance.symbol, graph.constant(0.0));
+        }
+        let controls: Vec<Id> = match (law, &model.horizon) {
+            (Some(law), _) => graph.substitute(&law.control, &replaced),
+            (None, Horizon::Infinite { u, .. }) => u.iter().map(|u| graph.constant(*u)).collect(),
+            (None, Horizon::Finite { .. }) => (model.controls.iter())
+                .map(|control| {
+                    let zero = graph.constant(0.0);
+                    clamped(&mut graph, control, zero)
+                })
+                .collect(),
+        };
+        for (control, u) in model.controls.iter().zip(controls) {
+            replaced.insert(control.variable.symbol, u);
+        }
+        Self { graph, replaced }
+    }
+
+    fn closed(&mut self, expressions: &[Id]) -> Vec<Id> {
+        self.graph.substitute(expressions, &self.replaced)
+    }
+
+    fn events(&mut self, all: &[Event]) -> Vec<Event> {
+        (all.iter())
+            .map(|event| Event {
+                name: event.name.clone(),
+                ahead: self.closed(&[event.ahead])[0],
+                only: event.only.map(|only| self.closed(&[only])[0]),
+                map: event.map.as_ref().map(|map| self.closed(map)),
+            })
+            .collect()
+    }
+}

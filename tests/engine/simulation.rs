@@ -1,0 +1,331 @@
+//! Simulation forward in time: events located, jumps, orbits that come back, on both backends.
+
+use costate::backend::Backend;
+use costate::backend::cpu::Cpu;
+use costate::session::{ControlledBy, Simulated, SimulationOptions};
+use costate::{Scene, Session};
+use serde_json::Value;
+
+fn scene(text: &str) -> Scene {
+    Scene::parse(text, "scene.toml").unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// Two states, a finite horizon, and what is added.
+fn oscillator(dynamics: [&str; 2], rest: &str) -> Scene {
+    scene(&format!(
+        r#"
+        states = {{ x = {{}}, v = {{}}, n = {{}} }}
+        controls = {{ u = {{}} }}
+        dynamics = {{ x = "{}", v = "{}", n = "0" }}
+        cost = {{ running = "0.5*u^2", terminal = "x^2", final_time = 1 }}
+        region = {{ x = [-2, 2], v = [-2, 2], n = [-2, 2] }}
+        integrator = {{ rtol = 1e-12 }}
+        {rest}
+        "#,
+        dynamics[0], dynamics[1]
+    ))
+}
+
+fn simulated(scene: &Scene, from: &[f64], time: f64) -> Simulated {
+    let options = SimulationOptions {
+        time: Some(time),
+        ..SimulationOptions::default()
+    };
+    Session::new(scene).simulate(Some(from), &options).unwrap()
+}
+
+fn compass_gait(slope: f64) -> Scene {
+    let path = format!("{}/scenarios/compass_gait.toml", crate::ROOT);
+    let set = [("slope".to_owned(), format!("{slope:?}"))];
+    Scene::load_with(&path, &set).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn gaits() -> Vec<Value> {
+    let all: Value = serde_json::from_str(include_str!("../data/compass_gait.json")).unwrap();
+    all["cycles"]
+        .as_object()
+        .unwrap()
+        .values()
+        .cloned()
+        .collect()
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().unwrap()
+}
+
+#[test]
+fn a_compass_gait_comes_back_to_itself() {
+    for gait in gaits() {
+        let scene = compass_gait(number(&gait["slope"]));
+        let options = SimulationOptions::default();
+        let session = Session::new(&scene);
+        let cycle = session
+            .cycles(None, 1, &options)
+            .unwrap()
+            .remove(0)
+            .unwrap();
+        assert!((cycle.period - number(&gait["period"])).abs() < 1e-10);
+        // The file's angles are from the vertical, these from the slope's x axis, downward.
+        let [stance, swing, stance_rate, swing_rate] = cycle.start[..] else {
+            panic!("four states");
+        };
+        assert!((0.5 * (stance - swing) - number(&gait["half_interleg_angle"])).abs() < 1e-10);
+        let right_angle = std::f64::consts::FRAC_PI_2;
+        assert!((0.5 * (stance + swing) + right_angle).abs() < 1e-10);
+        assert!((stance_rate - number(&gait["stance_rate_after_impact"])).abs() < 1e-9);
+        assert!((swing_rate - number(&gait["swing_rate_after_impact"])).abs() < 1e-9);
+        let mut sizes: Vec<f64> = cycle.multipliers.iter().map(|[a, b]| a.hypot(*b)).collect();
+        assert!(
+            sizes.pop().unwrap() < 1e-6,
+            "states after a strike lie on a surface"
+        );
+        let published = gait["return_map_eigenvalue_moduli"].as_array().unwrap();
+        for (size, other) in sizes.iter().zip(published.iter().rev()) {
+            assert!((size - number(other)).abs() < 1e-7, "{size} {other}");
+        }
+        assert!(cycle.is_stable());
+
+        // The state before the strike, and where flights go that begin beside it.
+        let flown = session.simulate(Some(&cycle.start), &options).unwrap();
+        let before = &flown.flights.jumps[0].before;
+        let other = gait["state_before_impact"].as_array().unwrap();
+        let slope = number(&gait["slope"]);
+        for (k, (x, other)) in before.iter().zip(other).enumerate() {
+            let turned = if k < 2 { slope - right_angle } else { 0.0 };
+            assert!((x - turned - number(other)).abs() < 1e-9, "{x} {other}");
+        }
+        let beside: Vec<f64> = cycle.start.iter().map(|x| x * 1.002).collect();
+        let many = SimulationOptions {
+            events: Some(40),
+            ..SimulationOptions::default()
+        };
+        let flown = session.simulate(Some(&beside), &many).unwrap();
+        for (x, end) in cycle.start.iter().zip(&flown.flights.last) {
+            assert!((x - end).abs() < 1e-8, "{x} {end}");
+        }
+    }
+}
+
+#[test]
+fn a_gait_on_a_device() {
+    let scene = compass_gait(3f64.to_radians());
+    let options = SimulationOptions {
+        events: Some(5),
+        ..SimulationOptions::default()
+    };
+    let gpu = crate::common::any_gpu();
+    assert_eq!(gpu.name(), "gpu");
+    let there = Session::on(&scene, Box::new(gpu))
+        .simulate(None, &options)
+        .unwrap();
+    let here = Session::new(&scene).simulate(None, &options).unwrap();
+    assert_eq!(there.flights.jumps.len(), 5);
+    for (a, b) in there.flights.jumps.iter().zip(&here.flights.jumps) {
+        assert!((a.t - b.t).abs() < 1e-9, "{} {}", a.t, b.t);
+        for (x, y) in a.after.iter().zip(&b.after) {
+            assert!((x - y).abs() < 1e-8, "{x} {y}");
+        }
+    }
+    assert_eq!(there.flights.end, here.flights.end);
+    assert_eq!(there.flights.samples.len(), here.flights.samples.len());
+}
+
+#[test]
+fn a_ball_bounces_until_it_rests() {
+    let ball = oscillator(
+        ["v", "-9.81"],
+        r#"events.floor = { when = "x <= 0", set = { v = "-0.5*v", n = "n + 1" } }"#,
+    );
+    let done = simulated(&ball, &[1.0, 0.0, 0.0], 10.0);
+    let fall = (2.0f64 / 9.81).sqrt();
+    let (mut t, mut speed) = (fall, 9.81 * fall);
+    for (k, jump) in done.flights.jumps.iter().take(15).enumerate() {
+        assert!((jump.t - t).abs() < 1e-11, "bounce {k}: {} {t}", jump.t);
+        assert!((jump.before[1] + speed).abs() < 1e-10 * speed.max(1.0));
+        assert!(jump.before[0].abs() < 1e-12);
+        assert_eq!(jump.after[2], (k + 1) as f64);
+        speed *= 0.5;
+        t += 2.0 * speed / 9.81;
+    }
+    assert_eq!(done.status(0), "zeno");
+    // fall (1 + 2 e/(1 - e)) with e = 0.5.
+    assert!(
+        (done.flights.t[0] - 3.0 * fall).abs() < 1e-7,
+        "{}",
+        done.flights.t[0]
+    );
+
+    // Energy falls as the coefficient says; points of a phase follow its parabola.
+    let first: Vec<_> = done
+        .flights
+        .samples
+        .iter()
+        .filter(|s| s.phase == 0)
+        .collect();
+    assert_eq!(first.len(), 51);
+    for sample in first {
+        let exact = 1.0 - 0.5 * 9.81 * sample.t * sample.t;
+        assert!((sample.x[0] - exact).abs() < 1e-11);
+    }
+}
+
+#[test]
+fn where_an_event_does_not_count_it_is_passed_by() {
+    // x = cos t falls through 0 at pi/2 (n = 0) and 5 pi/2; n counts how often x rises through 0.
+    let rest = r#"
+        [events.rising]
+        when = "x >= 0"
+        set = { n = "n + 1" }
+        [events.falling]
+        when = "x <= 0"
+        where = "n > 0.5"
+        ends = true
+    "#;
+    let done = simulated(&oscillator(["v", "-x"], rest), &[1.0, 0.0, 0.0], 20.0);
+    let pi = std::f64::consts::PI;
+    let times: Vec<f64> = done.flights.jumps.iter().map(|j| j.t).collect();
+    assert_eq!(
+        times.len(),
+        1,
+        "true from the beginning is not met: {times:?}"
+    );
+    assert!((times[0] - 1.5 * pi).abs() < 1e-11);
+    assert_eq!(done.status(0), "event_falling");
+    assert!((done.flights.t[0] - 2.5 * pi).abs() < 1e-11);
+    assert_eq!(done.flights.events, [1]);
+    // Both phases, from their beginnings to their ends.
+    let last = done.flights.samples.last().unwrap();
+    assert_eq!((last.phase, last.t), (1, done.flights.t[0]));
+}
+
+#[test]
+fn guards_end_a_flight() {
+    let rest = "guards = { slow = \"v < 0.5\" }";
+    let scene = oscillator(["v", "-x"], rest);
+    let from = [1.0, 0.0, 0.0, 0.0, 0.9, 0.0];
+    let done = simulated(&scene, &from, 20.0);
+    // v = -sin t rises to 0.5 at 7 pi/6; the second flight begins outside.
+    assert_eq!([done.status(0), done.status(1)], ["guard_slow"; 2]);
+    let pi = std::f64::consts::PI;
+    assert!((done.flights.t[0] - 7.0 * pi / 6.0).abs() < 1e-11);
+    assert_eq!(done.flights.t[1], 0.0);
+    assert_eq!(done.by_status()["guard_slow"], 2);
+}
+
+#[test]
+fn a_law_controls() {
+    let text = r#"
+        states = { x = {}, v = {} }
+        controls = { u = { min = -1, max = 1 } }
+        dynamics = { x = "v", v = "u" }
+        cost = { running = "0.5*(x^2 + v^2 + u^2)" }
+        equilibrium = { x = 0, v = 0, u = 0 }
+        region = { x = [-3, 3], v = [-3, 3] }
+        integrator = { rtol = 1e-11 }
+        [closed_loop]
+        final_time = 5
+        initial = { x = 1 }
+        law.damped = { u = "-2*v - x" }
+        [events.wall]
+        when = "x <= 0"
+        set = { v = "-v" }
+    "#;
+    let scene = scene(text);
+    let session = Session::new(&scene);
+    let options = |law: &str| SimulationOptions {
+        time: Some(4.0),
+        law: Some(ControlledBy::Law(law.to_owned())),
+        ..SimulationOptions::default()
+    };
+    // x = (1 + t) e^-t is critically damped, and never at the wall.
+    let damped = session
+        .simulate(Some(&[1.0, 0.0]), &options("damped"))
+        .unwrap();
+    assert_eq!(damped.status(0), "time");
+    assert!((damped.flights.last[0] - 5.0 * (-4.0f64).exp()).abs() < 1e-9);
+    for (sample, u) in damped.flights.samples.iter().zip(&damped.u) {
+        assert!((u - (-2.0 * sample.x[1] - sample.x[0])).abs() < 1e-12);
+    }
+    let unknown = session.simulate(None, &options("dampd")).unwrap_err();
+    assert!(
+        unknown.to_string().contains("known: damped, lqr"),
+        "{unknown}"
+    );
+    let lqr = session
+        .simulate(Some(&[1.0, 0.0]), &options("lqr"))
+        .unwrap();
+    assert_eq!(lqr.law.as_deref(), Some("lqr"));
+    assert!(lqr.flights.last[0].abs() < 0.1);
+    // Controls stay at the equilibrium's.
+    let held = session
+        .simulate(
+            Some(&[1.0, -1.0]),
+            &SimulationOptions {
+                time: Some(2.5),
+                ..SimulationOptions::default()
+            },
+        )
+        .unwrap();
+    assert_eq!(held.flights.jumps.len(), 1);
+    assert!((held.flights.jumps[0].t - 1.0).abs() < 1e-12);
+    assert!((held.flights.last[0] - 1.5).abs() < 1e-12);
+    let endless = session.simulate(None, &SimulationOptions::default());
+    assert!(endless.unwrap_err().to_string().contains("--time"));
+}
+
+#[test]
+fn flights_are_alone() {
+    let ball = oscillator(
+        ["v", "-9.81"],
+        r#"events.floor = { when = "x <= 0", set = { v = "-0.8*v" } }"#,
+    );
+    let starts: Vec<f64> = (0..40)
+        .flat_map(|k| [0.2 + 0.05 * f64::from(k), 0.3 * f64::from(k % 5), 0.0])
+        .collect();
+    let all = simulated(&ball, &starts, 1.5);
+    for (k, from) in starts.chunks(3).enumerate() {
+        let one = simulated(&ball, from, 1.5);
+        assert_eq!(
+            one.flights.last,
+            all.flights.last[3 * k..][..3],
+            "flight {k}"
+        );
+        let own: Vec<f64> = (all.flights.jumps.iter())
+            .filter(|j| j.flight == k)
+            .map(|j| j.t)
+            .collect();
+        let alone: Vec<f64> = one.flights.jumps.iter().map(|j| j.t).collect();
+        assert_eq!(own, alone);
+    }
+}
+
+#[test]
+fn every_method_locates() {
+    let ball = oscillator(
+        ["v", "-9.81 + x^3"],
+        r#"events.floor = { when = "x <= 0", set = { v = "-v" } }"#,
+    );
+    let reference = simulated(&ball, &[0.8, 0.1, 0.0], 2.0);
+    assert!(reference.flights.jumps.len() > 1);
+    for method in ["tsit5", "dop853", "taylor"] {
+        let options = SimulationOptions {
+            time: Some(2.0),
+            ..SimulationOptions::default()
+        };
+        let choices = costate::Choices {
+            method: costate::Method::ALL
+                .iter()
+                .find(|(n, _)| *n == method)
+                .map(|(_, m)| *m),
+            rtol: Some(1e-10),
+            ..costate::Choices::default()
+        };
+        let session = Session::on(&ball, Box::new(Cpu::new())).choosing(choices);
+        let done = session.simulate(Some(&[0.8, 0.1, 0.0]), &options).unwrap();
+        for (a, b) in done.flights.jumps.iter().zip(&reference.flights.jumps) {
+            assert!((a.t - b.t).abs() < 1e-8, "{method}: {} {}", a.t, b.t);
+        }
+        assert_eq!(done.flights.jumps.len(), reference.flights.jumps.len());
+    }
+}
