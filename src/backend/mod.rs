@@ -360,6 +360,11 @@ pub trait Backend: Send + Sync {
     fn favours(&self, method: Method) -> bool {
         self.offers(method)
     }
+    /// Operations of a right-hand side up to which it is worth its compilation that a kernel does
+    /// more at once.
+    fn longest(&self) -> usize {
+        12_000
+    }
     /// # Errors
     /// When the precision is not supported or the generated code is refused.
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError>;
@@ -638,6 +643,12 @@ pub trait Kernel: Send {
     fn relay(&self, run: &Run, surface: &Surface) -> Result<Option<Box<dyn Relay>>, BackendError> {
         let _ = (run, surface);
         Ok(None)
+    }
+
+    /// Bytes of generated code of what was compiled so far: machine code, or the text of shaders.
+    /// `None` where nothing was generated.
+    fn code_bytes(&self) -> Option<usize> {
+        None
     }
 
     /// Seconds of the latest [`Kernel::integrate`] in which trajectories were computed: without

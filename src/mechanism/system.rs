@@ -15,6 +15,11 @@ pub struct Link {
     pub mount: Mount,
     /// The link that it hangs on.
     pub parent: Option<usize>,
+    pub mass: f64,
+    /// Centre of mass, in the frame of the mount.
+    pub com: DVec3,
+    /// Whether its origin moves against its parent.
+    pub slides: bool,
 }
 
 /// A point that was named.

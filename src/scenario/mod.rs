@@ -44,6 +44,12 @@ use crate::files::{beginning, is_hdf5, read_text};
 use crate::model::Model;
 use std::path::{Path, PathBuf};
 
+/// Whether expressions call a function of this name, so that nothing else can have it.
+#[must_use]
+pub fn is_function(name: &str) -> bool {
+    scope::functions().any(|f| f == name)
+}
+
 /// Why a scenario file gave no model.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {

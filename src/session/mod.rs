@@ -3,6 +3,7 @@
 mod equations;
 mod error;
 mod estimates;
+mod figure;
 mod laws;
 mod least;
 mod loops;
@@ -16,6 +17,7 @@ mod wanted;
 pub use equations::Equations;
 pub use error::SessionError;
 pub use estimates::Estimates;
+pub use figure::StickFigure;
 pub use laws::{FitData, fit_laws};
 pub use least::LeastOptions;
 pub use loops::{LoopOptions, Sources, same_problem};

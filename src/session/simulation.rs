@@ -109,9 +109,9 @@ impl Session<'_> {
     /// let scene = Scene::parse(r#"
     ///     # A ball that bounces.
     ///     states = { h = {}, v = {} }
-    ///     controls = {}
-    ///     dynamics = { h = "v", v = "-9.81" }
-    ///     cost = { running = "0", terminal = "0", final_time = 1 }
+    ///     controls = { u = {} }
+    ///     dynamics = { h = "v", v = "-9.81 + u" }
+    ///     cost = { running = "u^2", terminal = "0", final_time = 1 }
     ///     region = { h = [0, 2], v = [-5, 5] }
     ///     events.floor = { when = "h <= 0", set = { v = "-0.8*v" } }
     /// "#, "scene.toml")?;

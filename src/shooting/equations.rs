@@ -37,8 +37,13 @@ pub struct Equations {
 
 impl Equations {
     /// `most` variation components are carried at once by an integrated vector; where equations are
-    /// long, as many columns as keep the program short.
-    pub fn new(system: &System, widths: &[f64], value_scale: f64, most: usize) -> Self {
+    /// long, as many columns as keep the program below `longest` operations, or one.
+    pub fn new(
+        system: &System,
+        widths: &[f64],
+        value_scale: f64,
+        (most, longest): (usize, usize),
+    ) -> Self {
         let n = system.states;
         let mut graph = system.graph.clone();
         let duration = graph.symbol("segment duration", Kind::Parameter);
@@ -81,7 +86,7 @@ impl Equations {
             .rev()
             .find(|c| (2 * n).is_multiple_of(*c) && 2 * n * c <= most)
             .unwrap_or(1);
-        let (columns, varied) = varied.program(system, fitting, plain.operations());
+        let (columns, varied) = varied.program(system, fitting, (plain.operations(), longest));
         let scales = (widths.iter().copied())
             .chain(widths.iter().map(|w| value_scale / w))
             .collect();
@@ -191,21 +196,24 @@ struct Varied {
 
 /// Operations of a plain segment up to which the Jacobian is written out.
 const SHORT: usize = 400;
-/// Operations of a program with variations that are not exceeded for more columns.
-const LONGEST: usize = 12_000;
 
 impl Varied {
     /// The program with variation columns, and how many: of short equations the Jacobian times
     /// columns, which fit into an integrated vector; of long ones the rates' derivatives along each
     /// column, a few of which are as long as the equations themselves.
-    fn program(self, system: &System, fitting: usize, plain: usize) -> (usize, Program) {
+    fn program(
+        self,
+        system: &System,
+        fitting: usize,
+        (plain, longest): (usize, usize),
+    ) -> (usize, Program) {
         let n = system.states;
         if plain <= SHORT {
             return (fitting, self.by_jacobian(system, fitting));
         }
         let one = self.along(system, 1);
         let each = one.operations().saturating_sub(plain).max(1);
-        let most = LONGEST.saturating_sub(plain) / each;
+        let most = longest.saturating_sub(plain) / each;
         let columns = (1..=2 * n)
             .rev()
             .find(|c| (2 * n).is_multiple_of(*c) && *c <= most);

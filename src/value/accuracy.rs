@@ -60,7 +60,9 @@ pub fn accuracy(plan: &Plan, answers: &Answers) -> Result<Option<SolvedAccuracy>
     let asked = plan.rtol_asked.min(MOST_RTOL);
     let tolerance = (TIGHTER * asked).max(LEAST_TOLERANCE);
     let rtol = (0.1 * tolerance).max(LEAST_RTOL);
-    let mut solver = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, tolerance), rtol)?;
+    let cpu = Cpu::new();
+    let scheme = scheme(plan, tolerance, &cpu);
+    let mut solver = Solver::new(&cpu, Precision::F64, scheme, rtol)?;
     let mut jobs: Vec<Job> = (entries.iter())
         .map(|(_, e)| Job::new(e.path.clone(), Goal::State(e.path.start().to_vec())))
         .collect();

@@ -309,8 +309,8 @@ pub fn goes_without_sweep(plan: &Plan) -> bool {
     !plan.can_be_swept() || Cover::serves(plan) || (plan.system.states >= MANY_STATES && !plan.game)
 }
 
-/// What the CPU solves a plan's boundary value problems with.
-pub(super) fn scheme(plan: &Plan, tolerance: f64) -> Scheme {
+/// What a backend solves a plan's boundary value problems with.
+pub(super) fn scheme(plan: &Plan, tolerance: f64, backend: &dyn Backend) -> Scheme {
     // The scales do not depend on how far a sweep goes; a game's are what they always were.
     let scale = if plan.game {
         plan.value_scale
@@ -318,7 +318,12 @@ pub(super) fn scheme(plan: &Plan, tolerance: f64) -> Scheme {
         plan.corner_value()
     };
     Scheme {
-        equations: Equations::new(&plan.system, &plan.widths, scale, VARIATIONS),
+        equations: Equations::new(
+            &plan.system,
+            &plan.widths,
+            scale,
+            (VARIATIONS, backend.longest()),
+        ),
         end: End::new(&plan.system, plan.local.as_ref()),
         tolerance,
         duration: plan.segment_duration(),
@@ -338,7 +343,8 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
     } else {
         rtol
     };
-    let mut host = Solver::new(&Cpu::new(), Precision::F64, scheme(plan, asked), host_rtol)?;
+    let cpu = Cpu::new();
+    let mut host = Solver::new(&cpu, Precision::F64, scheme(plan, asked, &cpu), host_rtol)?;
     host.deadline = plan.deadline;
     if backend.name() == "cpu" {
         return Ok(host);
@@ -348,7 +354,7 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
         Precision::F32 => (DRAFT_TOLERANCE, DRAFT_RTOL),
         Precision::F64 => (asked, rtol),
     };
-    let draft = Solver::new(backend, precision, scheme(plan, tolerance), rtol)?;
+    let draft = Solver::new(backend, precision, scheme(plan, tolerance, backend), rtol)?;
     Ok(host.after(draft))
 }
 

@@ -27,6 +27,7 @@ mod published;
 mod refusals;
 mod report;
 mod reserved;
+mod simulate;
 mod solve;
 
 /// The directory of the whole project.

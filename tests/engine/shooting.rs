@@ -79,7 +79,12 @@ fn begin(problems: &Problems, backend: &dyn Backend, precision: Precision) -> (S
     let value = plan.shoot_out.value_max.unwrap_or(1.0);
     let scheme = Scheme {
         // One column of variations at a time: a shader compiler's time grows with their number.
-        equations: Equations::new(&plan.system, &plan.widths, value, 2 * plan.widths.len()),
+        equations: Equations::new(
+            &plan.system,
+            &plan.widths,
+            value,
+            (2 * plan.widths.len(), 12_000),
+        ),
         end: End::new(&plan.system, plan.local.as_ref()),
         tolerance,
         duration: problems.duration,

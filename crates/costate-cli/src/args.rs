@@ -56,6 +56,9 @@ pub enum Command {
     /// Simulate forward in time with the scene's [events]: where they come, the states after them,
     /// and orbits that come back to themselves.
     Simulate(SimulateArgs),
+    /// A scene from a robot in URDF: its joints and bodies as [mechanism], limits as guards and bounds.
+    #[cfg(feature = "urdf")]
+    Import(ImportArgs),
     /// Print the reference of scenes, or of the result file, in Markdown.
     Reference {
         /// What of.
@@ -117,6 +120,19 @@ pub struct MechanismArgs {
     /// equilibrium's value) [default: the equilibrium, or the middle of the region]
     #[arg(long, value_name = "FILE")]
     pub points: Option<PathBuf>,
+}
+
+#[cfg(feature = "urdf")]
+#[derive(Args, Debug, Clone)]
+pub struct ImportArgs {
+    /// The robot (URDF).
+    #[arg(value_name = "ROBOT.urdf")]
+    pub file: PathBuf,
+    /// The scene [default: the robot's file with .toml, here; it must not be there yet]
+    #[arg(long, value_name = "SCENE.toml")]
+    pub out: Option<PathBuf>,
+    #[command(flatten)]
+    pub print: PrintArgs,
 }
 
 #[derive(Args, Debug, Clone)]

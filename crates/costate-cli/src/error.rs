@@ -44,6 +44,9 @@ pub enum CliError {
     Place(#[from] PlaceError),
     #[error(transparent)]
     Export(#[from] ExportError),
+    #[cfg(feature = "urdf")]
+    #[error(transparent)]
+    Import(#[from] ImportFileError),
     #[error(transparent)]
     Refused(#[from] GridRefusal),
     #[error(transparent)]
@@ -195,6 +198,24 @@ pub enum PlaceError {
     TwoColumns { name: String },
     #[error("--precision f32: on the CPU values are those of f64 (--backend gpu has both)")]
     Precision,
+}
+
+/// Why no robot was imported.
+#[cfg(feature = "urdf")]
+#[derive(Debug, thiserror::Error)]
+pub enum ImportFileError {
+    #[error("cannot read {path}: {source}", path = path.display())]
+    Read {
+        path: PathBuf,
+        source: std::io::Error,
+    },
+    #[error("{path} is there already: name another file with --out", path = path.display())]
+    Exists { path: PathBuf },
+    #[error("{path}: {error}", path = path.display())]
+    Robot {
+        path: PathBuf,
+        error: costate_urdf::ImportError,
+    },
 }
 
 /// Why nothing was exported.

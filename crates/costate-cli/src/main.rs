@@ -9,6 +9,8 @@ mod text;
 
 use args::Command;
 use clap::Parser;
+#[cfg(feature = "urdf")]
+use commands::import;
 #[cfg(feature = "report")]
 use commands::report;
 use commands::{
@@ -57,6 +59,8 @@ fn main() -> ExitCode {
         #[cfg(feature = "report")]
         Command::Report(args) => report::report(&args),
         Command::Check(args) => check::check(&args),
+        #[cfg(feature = "urdf")]
+        Command::Import(args) => import::run(&args),
         Command::Mechanism(args) => mechanism::mechanism(&args),
         Command::Reference { what } => check::reference(what),
         Command::Adapters { json } => check::list_adapters(json),

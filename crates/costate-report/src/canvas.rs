@@ -159,6 +159,16 @@ pub trait Canvas {
 
     fn text(&mut self, at: Point, text: &str, style: Style);
 
+    /// Lines that move, one set of them a frame, over and over in so many seconds; a line of one
+    /// point is a dot. Where nothing can move the first frame is drawn.
+    fn moving(&mut self, frames: &[Vec<Vec<Point>>], seconds: f64, stroke: Stroke) {
+        let _ = seconds;
+        let Some(first) = frames.first() else { return };
+        let (dots, lines): (Vec<_>, Vec<_>) = first.iter().cloned().partition(|l| l.len() == 1);
+        self.lines(&lines, stroke);
+        self.dots(&dots.concat(), stroke.width, stroke.ink, stroke.opacity);
+    }
+
     fn line(&mut self, from: Point, to: Point, stroke: Stroke) {
         self.lines(&[vec![from, to]], stroke);
     }

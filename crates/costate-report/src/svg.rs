@@ -231,6 +231,31 @@ impl Canvas for Svg {
         ));
     }
 
+    fn moving(&mut self, frames: &[Vec<Vec<Point>>], seconds: f64, stroke: Stroke) {
+        let texts: Vec<String> = (frames.iter())
+            .map(|lines| {
+                let mut d = String::new();
+                for line in lines {
+                    path(line, false, &mut d);
+                    if line.len() == 1 {
+                        d.push_str("h0");
+                    }
+                }
+                d
+            })
+            .collect();
+        let Some(first) = texts.first() else { return };
+        self.push(format_args!(
+            "<path fill=\"none\" stroke-linecap=\"round\"{} stroke-width=\"{}\"{} d=\"{first}\">\
+             <animate attributeName=\"d\" calcMode=\"discrete\" dur=\"{}s\" repeatCount=\"indefinite\" values=\"{}\"/></path>\n",
+            inked("stroke", stroke.ink),
+            short(stroke.width, 2),
+            opacity("stroke", stroke.opacity),
+            short(seconds, 3),
+            texts.join(";"),
+        ));
+    }
+
     fn text(&mut self, [x, y]: Point, words: &str, style: Style) {
         if words.is_empty() {
             return;

@@ -244,6 +244,11 @@ impl Kernel for CpuKernel {
         self.seconds
     }
 
+    fn code_bytes(&self) -> Option<usize> {
+        let all = self.compiled.lock().unwrap_or_else(PoisonError::into_inner);
+        Some(all.values().map(|code| code.bytes()).sum()).filter(|bytes| *bytes > 0)
+    }
+
     fn fork(&self) -> Option<Box<dyn Kernel>> {
         Some(Box::new(CpuKernel {
             spec: self.spec.clone(),

@@ -14,6 +14,14 @@ pub enum Routine {
 }
 
 impl Routine {
+    /// Bytes of machine code.
+    pub fn bytes(&self) -> usize {
+        match self {
+            Routine::Compiled(executable) => executable.bytes(),
+            Routine::Interpreted(_) => 0,
+        }
+    }
+
     /// `compile`: for which instructions, if at all. `record` may be called twice: once for the
     /// compiler, once for the interpreter.
     pub fn new(

@@ -45,6 +45,8 @@ pub(super) struct GpuKernel {
     spec: Spec,
     layout: wgpu::BindGroupLayout,
     pipelines: FxHashMap<Key, Pipelines>,
+    /// Bytes of their modules' texts.
+    text: usize,
     memory: Option<Memory>,
     /// Attempted steps a second over all trajectories, as measured so far.
     speed: Option<f64>,
@@ -138,6 +140,7 @@ impl GpuKernel {
             spec,
             layout,
             pipelines: FxHashMap::default(),
+            text: 0,
             memory: None,
             speed: None,
             clock,
@@ -154,6 +157,7 @@ impl GpuKernel {
         }
         let source = source(&self.spec, scheme, variant)?;
         source.validate(self.device.info.f64_arithmetic)?;
+        self.text += source.text.len();
         let device = &self.device.device;
         let descriptor = wgpu::ShaderModuleDescriptor {
             label: Some("kernel"),
@@ -423,6 +427,10 @@ fn bounded(work: f64) -> u32 {
 }
 
 impl Kernel for GpuKernel {
+    fn code_bytes(&self) -> Option<usize> {
+        Some(self.text).filter(|bytes| *bytes > 0)
+    }
+
     fn kernel_seconds(&self) -> Option<f64> {
         // Some drivers offer a clock that stands still.
         (self.clock.is_some() && self.seconds > 0.0).then_some(self.seconds)

@@ -87,7 +87,9 @@ impl Gpu {
 }
 
 /// Operations of one right-hand side that are given to a shader compiler.
-const MOST_OPERATIONS: usize = 2000;
+const MOST_OPERATIONS: usize = 12_000;
+/// Operations up to which more variation columns in a kernel are worth their compilation.
+const LONGEST: usize = 3_000;
 
 impl Backend for Gpu {
     fn name(&self) -> &'static str {
@@ -117,6 +119,10 @@ impl Backend for Gpu {
     /// Taylor steps were not measured on a card: registers may be too few for them.
     fn favours(&self, method: Method) -> bool {
         method != Method::Taylor
+    }
+
+    fn longest(&self) -> usize {
+        LONGEST
     }
 
     fn compile(&self, spec: &Spec) -> Result<Box<dyn Kernel>, BackendError> {

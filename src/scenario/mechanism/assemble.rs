@@ -81,6 +81,9 @@ impl Reader<'_> {
                 name: spec.name.clone(),
                 mount,
                 parent: *parent,
+                mass: spec.inertia.mass,
+                com: spec.inertia.com,
+                slides: matches!(spec.kind, Kind::Prismatic | Kind::Planar | Kind::Floating),
             })
             .collect();
         Some(Assembled {

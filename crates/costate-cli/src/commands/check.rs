@@ -216,6 +216,13 @@ fn guards_text(
             guard.name, equations.guards[k]
         ));
     }
+    if !model.events.is_empty() {
+        let names: Vec<&str> = model.events.iter().map(|e| e.name.as_str()).collect();
+        lines.push(format!(
+            "\nEvents of `costate simulate` (V knows nothing of them): {}",
+            names.join(", ")
+        ));
+    }
     lines
 }
 
@@ -285,6 +292,7 @@ fn as_json(
         "title": model.title,
         "states": names(model),
         "controls": model.controls.iter().map(|c| &c.variable.name).collect::<Vec<_>>(),
+        "events": model.events.iter().map(|e| &e.name).collect::<Vec<_>>(),
         "disturbances": model.disturbances.iter().map(|d| &d.name).collect::<Vec<_>>(),
         "shared": equations.shared,
         "hamiltonian": equations.hamiltonian,

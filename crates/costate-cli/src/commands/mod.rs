@@ -8,6 +8,8 @@ pub mod check_least;
 pub mod evaluate;
 pub mod export;
 pub mod fit;
+#[cfg(feature = "urdf")]
+pub mod import;
 pub mod mechanism;
 #[cfg(feature = "report")]
 pub mod report;

@@ -136,6 +136,65 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
     }))
 }
 
+/// Flights of a simulation: each phase is a line of its own.
+pub fn simulated(source: &Source<'_>) -> Made {
+    let Some(group) = source.stored.group(&schema::SIMULATION_SAMPLES) else {
+        return Ok(None);
+    };
+    let text = |e: StoredError| e.to_string();
+    let (_, flights) = group.i32("flight").map_err(text)?;
+    let (_, phases) = group.i32("phase").map_err(text)?;
+    let t = group.f64("t").map_err(text)?.values;
+    let mut quantities = vec![(
+        group.f64("x").map_err(text)?.values,
+        source.model.states.len(),
+    )];
+    if !source.model.controls.is_empty() {
+        let u = group.f64("u").map_err(text)?.values;
+        quantities.push((u, source.model.controls.len()));
+    }
+    let fits = |(values, width): &(Vec<f64>, usize)| values.len() == t.len() * width;
+    if !quantities.iter().all(fits) || flights.len() != t.len() || phases.len() != t.len() {
+        return Err("/simulation_samples: x, u and t do not fit".to_owned());
+    }
+    let mut panels = panels(source.model);
+    let rows: Vec<usize> = (0..t.len())
+        .filter(|k| usize::try_from(flights[*k]).is_ok_and(|f| f < SHOWN))
+        .collect();
+    let phase = |k: usize| (flights[k], phases[k]);
+    for rows in rows.chunk_by(|a, b| phase(*a) == phase(*b)) {
+        let place = usize::try_from(flights[rows[0]]).unwrap_or(0);
+        let samples = rows[0]..rows[rows.len() - 1] + 1;
+        let shown = quantities.iter().map(|(values, width)| (values, *width));
+        for (panel, points) in panels.iter_mut().zip(against_time(&t, samples, shown)) {
+            let stroke = Stroke::new(ink(place), 1.7);
+            panel.curves.push(Curve { points, stroke });
+        }
+    }
+    let shown = rows.last().map_or(0, |k| flights[*k] + 1);
+    if shown == 0 {
+        return Ok(None);
+    }
+    let legend = (0..shown).filter(|_| shown > 1).map(|k| {
+        let mark = Mark::Line(Stroke::new(ink(k as usize), 2.2));
+        (mark, format!("flight {}", k + 1))
+    });
+    Ok(Some(Picture {
+        name: "simulation".to_owned(),
+        title: "Simulated states and controls against time".to_owned(),
+        caption: "Lines are interrupted where the state jumps at an event.".to_owned(),
+        drawing: Box::new(Panels {
+            x_label: source.time_label(),
+            panels,
+            legend: legend.collect(),
+            marks: Vec::new(),
+            columns: 2,
+            tall: 1.0,
+            log: false,
+        }),
+    }))
+}
+
 /// `/closed_loop_trajectories`.
 struct Loops {
     laws: Vec<String>,
@@ -241,7 +300,7 @@ pub fn panels(model: &Model) -> Vec<Panel> {
 
 /// Trajectories whose first points are far from each other, in units of the region, and within it
 /// if any is.
-fn far_apart(model: &Model, t: &SweptTrajectories, most: usize) -> Vec<usize> {
+pub(super) fn far_apart(model: &Model, t: &SweptTrajectories, most: usize) -> Vec<usize> {
     let n = model.states.len();
     let first = |k: usize| (k * t.samples..(k + 1) * t.samples).find(|s| t.v[*s].is_finite());
     let place = |k: usize| -> Option<Vec<f64>> {

@@ -7,6 +7,7 @@ mod closed_loop;
 mod contours;
 mod curve;
 mod dissipation;
+mod figures;
 mod histories;
 mod panels;
 mod phase;
@@ -25,7 +26,10 @@ type Made = Result<Option<Picture>, String>;
 type Maker = fn(&Source<'_>) -> Made;
 
 /// Pictures by the names of their files, in the page's order.
-const BEFORE: [(&str, Maker); 8] = [
+const BEFORE: [(&str, Maker); 11] = [
+    ("motion", figures::moving),
+    ("figures", figures::picture),
+    ("simulation", histories::simulated),
     ("phase", phase::picture),
     ("contours", contours::picture),
     ("surface", surface::picture),

@@ -40,6 +40,13 @@ impl Compiled {
             .all(Routine::is_compiled)
     }
 
+    /// Bytes of its machine code.
+    pub fn bytes(&self) -> usize {
+        let parts = [&self.start, &self.step];
+        let parts = parts.into_iter().chain(&self.dense);
+        parts.map(Routine::bytes).sum()
+    }
+
     /// `compile`: to machine code of which instructions, where the machine allows it.
     pub fn new(
         spec: &Spec,

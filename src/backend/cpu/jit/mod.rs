@@ -111,6 +111,11 @@ impl Set {
 }
 
 impl Executable {
+    /// Bytes of the machine code.
+    pub fn bytes(&self) -> usize {
+        self.code.len()
+    }
+
     /// Compiles what was recorded for frames of `width` lanes; `None` where the machine lacks the
     /// instructions or forbids executable memory, or where the code would be too long.
     pub fn new(recorder: Recorder, set: Set, precision: Precision, width: usize) -> Option<Self> {

@@ -5,6 +5,9 @@ use crate::backend::By;
 use crate::integrator::{Tableau, control};
 use std::fmt::Write;
 
+/// Operations of a right-hand side up to which each stage has a copy of it.
+const MOST_REPEATED: usize = 2000;
+
 impl Emitter<'_> {
     /// A Runge-Kutta step and its dense output.
     pub(super) fn runge_kutta(&self, tableau: &Tableau, text: &mut String) {
@@ -48,7 +51,13 @@ impl Emitter<'_> {
             text,
             "fn attempt(lane: Lane, run: Run) -> Step {{\n    let y = lane.y;\n    let k0 = lane.k;\n    let h = lane.h;"
         );
+        if self.spec.rate.operations() > MOST_REPEATED {
+            self.looped(tableau, text);
+        }
         for s in 1..stages {
+            if self.spec.rate.operations() > MOST_REPEATED {
+                break;
+            }
             let last = s + 1 == stages;
             // Components that no derivative depends on are needed only at the end of the step.
             let components = if last { self.dim } else { self.inputs };
@@ -95,6 +104,45 @@ impl Emitter<'_> {
             new.join(", "),
             all.join(", ")
         );
+    }
+
+    /// The stages as a loop, with one copy of the right-hand side: compilers repeat it at each place
+    /// where it stands, and of long ones take minutes.
+    fn looped(&self, tableau: &Tableau, text: &mut String) {
+        let stages = tableau.stages();
+        let last = stages - 1;
+        let width = last;
+        let weights: Vec<String> = (tableau.a.iter().take(last))
+            .flat_map(|row| {
+                let row = row
+                    .iter()
+                    .copied()
+                    .chain(std::iter::repeat(0.0))
+                    .take(width);
+                row.map(|w| self.number(w)).collect::<Vec<_>>()
+            })
+            .collect();
+        let zeros = vec![self.number(0.0); self.dim].join(", ");
+        let each = |line: &dyn Fn(usize) -> String| -> String { (0..self.dim).map(line).collect() };
+        let arguments: Vec<String> = (0..self.inputs).map(|c| format!("z.c{c}")).collect();
+        let _ = writeln!(
+            text,
+            "    var weights = array<real, {}>({});\n    var k: array<Vector, {stages}>;\n    k[0] = k0;\n    var z = y;\n    \
+             for (var s = 1u; s < {stages}u; s++) {{\n        var sum = Vector({zeros});\n        \
+             for (var j = 0u; j < s; j++) {{\n            let w = weights[(s - 1u) * {width}u + j];\n{}        }}\n{}        \
+             k[s] = rate(Inputs({}));\n    }}",
+            weights.len(),
+            weights.join(", "),
+            each(&|c| format!("            sum.c{c} += k[j].c{c} * w;\n")),
+            each(&|c| format!("        z.c{c} = y.c{c} + h * sum.c{c};\n")),
+            arguments.join(", ")
+        );
+        for s in 1..stages {
+            let _ = writeln!(text, "    let k{s} = k[{s}];");
+        }
+        for c in 0..self.dim {
+            let _ = writeln!(text, "    let y{last}_{c} = z.c{c};");
+        }
     }
 
     /// The squared error, from the estimate's mean square and that of the companion where there is

@@ -1,0 +1,267 @@
+//! A robot in URDF (Unified Robot Description Format) as a scene: `[mechanism]` with its joints and
+//! bodies, a control a joint, limits as guards and bounds, and a first cost and region to begin with.
+//!
+//! A body has the name of the joint that moves it; its frame is the joint's. What a scene has no use
+//! for is left out and said.
+
+mod names;
+mod text;
+
+use costate::Scene;
+use costate::low_level::diagnostics::ScenarioErrors;
+use costate::session::MechanismAt;
+use names::Names;
+use std::collections::BTreeMap;
+use urdf_rs::{Joint, JointType, Link, Robot};
+
+/// A scene that was made of a robot.
+#[derive(Clone, Debug)]
+pub struct Imported {
+    /// The scene's text.
+    pub text: String,
+    pub joints: usize,
+    /// Of all that moves.
+    pub mass: f64,
+    /// What was left out or changed.
+    pub notes: Vec<String>,
+}
+
+/// Why there is no scene.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    #[error("it is no URDF: {0}")]
+    Urdf(String),
+    #[error("it is a xacro file: expand it first (xacro FILE > robot.urdf)")]
+    Xacro,
+    #[error("the robot has no joint that moves")]
+    Rigid,
+    #[error("{0}")]
+    Tree(String),
+    #[error("joint `{joint}` is {kind}, which a mechanism in space does not have")]
+    Joint { joint: String, kind: &'static str },
+    #[error("joint `{joint}`: {what}")]
+    Number { joint: String, what: String },
+    #[error("what the robot says makes no mechanism:\n{0}")]
+    Scene(ScenarioErrors),
+}
+
+/// A joint with the link that it moves.
+pub(crate) struct Part<'r> {
+    pub joint: &'r Joint,
+    pub link: &'r Link,
+    /// The body's name, and that of the body before it.
+    pub name: String,
+    pub parent: Option<String>,
+    pub fixed: bool,
+}
+
+/// Reads a robot. `file` is for the scene's first line.
+///
+/// # Errors
+/// [`ImportError`].
+pub fn import(urdf: &str, file: &str) -> Result<Imported, ImportError> {
+    if urdf.contains("xmlns:xacro") || urdf.contains("<xacro:") {
+        return Err(ImportError::Xacro);
+    }
+    let robot = urdf_rs::read_from_string(urdf).map_err(|e| ImportError::Urdf(e.to_string()))?;
+    let mut notes = Vec::new();
+    let parts = parts(&robot, &mut notes)?;
+    let joints = parts.iter().filter(|p| !p.fixed).count();
+    if joints == 0 {
+        return Err(ImportError::Rigid);
+    }
+    for part in &parts {
+        check(part)?;
+    }
+    remarks(&robot, &parts, &mut notes);
+
+    let scene = text::Scene::new(&robot, &parts, file);
+    // Torques that hold the robot where it is to stand are asked of the mechanism itself.
+    let first = scene.text(None);
+    let read = Scene::parse(&first, file).map_err(ImportError::Scene)?;
+    let hold = scene
+        .is_actuated()
+        .then(|| holding(&read, &scene))
+        .flatten();
+    let text = scene.text(hold.as_deref());
+    Scene::parse(&text, file).map_err(ImportError::Scene)?;
+    if hold.is_none() {
+        notes.push(
+            "no equilibrium: not every coordinate has a motor, so the cost is that of a finite horizon"
+                .to_owned(),
+        );
+    }
+    let mass = parts.iter().map(|p| p.link.inertial.mass.value).sum();
+    Ok(Imported {
+        text,
+        joints,
+        mass,
+        notes,
+    })
+}
+
+/// What holds each coordinate at the place where the scene begins.
+fn holding(read: &Scene, scene: &text::Scene<'_>) -> Option<Vec<f64>> {
+    let at = MechanismAt::new(read)?;
+    let names = at.coordinates();
+    let places = scene.places();
+    let states = read.model.states.iter().map(|s| {
+        let name = &s.variable.name;
+        places
+            .iter()
+            .find(|(own, _)| own == name)
+            .map_or(0.0, |(_, x)| *x)
+    });
+    let x: Vec<f64> = states.collect();
+    let u = vec![0.0; read.model.controls.len()];
+    let found = at.at(&x, &u, &[]);
+    let by_name: BTreeMap<&String, f64> = names.iter().zip(found.gravity).collect();
+    places
+        .iter()
+        .map(|(name, _)| by_name.get(name).copied())
+        .collect()
+}
+
+/// Joints with their links, parents first, named as a scene wants it.
+fn parts<'r>(robot: &'r Robot, notes: &mut Vec<String>) -> Result<Vec<Part<'r>>, ImportError> {
+    let tree = |what: String| Err(ImportError::Tree(what));
+    let links: BTreeMap<&str, &Link> = robot.links.iter().map(|l| (l.name.as_str(), l)).collect();
+    if links.len() < robot.links.len() {
+        return tree("two links have the same name".to_owned());
+    }
+    for joint in &robot.joints {
+        for link in [&joint.parent.link, &joint.child.link] {
+            if !links.contains_key(link.as_str()) {
+                return tree(format!("joint `{}`: there is no link `{link}`", joint.name));
+            }
+        }
+    }
+    let moves = |link: &Link| {
+        (robot.joints.iter())
+            .filter(|j| j.child.link == link.name)
+            .count()
+    };
+    if let Some(link) = robot.links.iter().find(|l| moves(l) > 1) {
+        return tree(format!("link `{}` is the child of two joints", link.name));
+    }
+    let roots: Vec<&Link> = robot.links.iter().filter(|l| moves(l) == 0).collect();
+    let [root] = roots.as_slice() else {
+        let names: Vec<&str> = roots.iter().map(|l| l.name.as_str()).collect();
+        return tree(match names.is_empty() {
+            true => "links hang on each other in a circle".to_owned(),
+            false => format!("more than one link hangs on nothing: {}", names.join(", ")),
+        });
+    };
+    if root.inertial.mass.value > 0.0 {
+        notes.push(format!(
+            "link `{}` is fixed to the world: its mass plays no part",
+            root.name
+        ));
+    }
+    let mut names = Names::new();
+    let mut parts: Vec<Part<'r>> = Vec::new();
+    let mut open: Vec<(&str, Option<String>)> = vec![(root.name.as_str(), None)];
+    // In the order of the file among the joints of a link.
+    while let Some((link, body)) = open.pop() {
+        let here = robot.joints.iter().filter(|j| j.parent.link == link);
+        let mut next = Vec::new();
+        for joint in here {
+            let name = names.of(&joint.name, notes);
+            let mimics = joint.mimic.is_some();
+            if mimics {
+                notes.push(format!(
+                    "joint `{}` mimics another one: it is fixed at 0",
+                    joint.name
+                ));
+            }
+            next.push((joint.child.link.as_str(), Some(name.clone())));
+            parts.push(Part {
+                joint,
+                link: links[joint.child.link.as_str()],
+                name,
+                parent: body.clone(),
+                fixed: joint.joint_type == JointType::Fixed || mimics,
+            });
+        }
+        open.extend(next.into_iter().rev());
+    }
+    if parts.len() < robot.joints.len() {
+        return tree("links hang on each other in a circle".to_owned());
+    }
+    Ok(parts)
+}
+
+/// Refuses joints and numbers that no mechanism has.
+fn check(part: &Part<'_>) -> Result<(), ImportError> {
+    let joint = part.joint;
+    if joint.joint_type == JointType::Planar && !part.fixed {
+        return Err(ImportError::Joint {
+            joint: joint.name.clone(),
+            kind: "planar",
+        });
+    }
+    let wrong = |what: &str| ImportError::Number {
+        joint: joint.name.clone(),
+        what: what.to_owned(),
+    };
+    let inertia = &part.link.inertial.inertia;
+    let numbers = [
+        &joint.origin.xyz[..],
+        &joint.origin.rpy[..],
+        &joint.axis.xyz[..],
+        &part.link.inertial.origin.xyz[..],
+        &part.link.inertial.origin.rpy[..],
+        &[part.link.inertial.mass.value][..],
+        &[inertia.ixx, inertia.ixy, inertia.ixz][..],
+        &[inertia.iyy, inertia.iyz, inertia.izz][..],
+    ];
+    if numbers.concat().iter().any(|v| !v.is_finite()) {
+        return Err(wrong("a number is not finite"));
+    }
+    let turns = matches!(
+        joint.joint_type,
+        JointType::Revolute | JointType::Continuous | JointType::Prismatic
+    );
+    if turns && !part.fixed && joint.axis.xyz.iter().all(|v| *v == 0.0) {
+        return Err(wrong("its axis is 0"));
+    }
+    Ok(())
+}
+
+/// What is left out of the scene.
+fn remarks(robot: &Robot, parts: &[Part<'_>], notes: &mut Vec<String>) {
+    let looks = robot.links.iter().any(|l| !l.visual.is_empty());
+    let shapes = robot.links.iter().any(|l| !l.collision.is_empty());
+    if looks || shapes {
+        notes.push("left out: how links look, and their shapes for collisions".to_owned());
+    }
+    let some = |of: &dyn Fn(&Joint) -> bool| -> Vec<&str> {
+        (parts.iter().filter(|p| of(p.joint)))
+            .map(|p| p.joint.name.as_str())
+            .collect()
+    };
+    let rubs = some(&|j| j.dynamics.as_ref().is_some_and(|d| d.friction != 0.0));
+    if !rubs.is_empty() {
+        notes.push(format!(
+            "left out: Coulomb friction of {} (damping is kept)",
+            rubs.join(", ")
+        ));
+    }
+    let safe = some(&|j| j.safety_controller.is_some() || j.calibration.is_some());
+    if !safe.is_empty() {
+        notes.push(format!(
+            "left out: safety controllers and calibration of {}",
+            safe.join(", ")
+        ));
+    }
+    let jerks = some(&|j| j.limit.acceleration.is_finite() || j.limit.jerk.is_finite());
+    if !jerks.is_empty() {
+        notes.push(format!(
+            "left out: limits of acceleration and jerk of {}",
+            jerks.join(", ")
+        ));
+    }
+}
+
+#[cfg(test)]
+mod tests;

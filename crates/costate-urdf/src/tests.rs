@@ -1,0 +1,130 @@
+use super::*;
+
+const ARM: &str = r#"<?xml version="1.0"?>
+<robot name="arm">
+  <link name="base"><inertial><mass value="5"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <link name="upper">
+    <inertial>
+      <origin xyz="0 0 0.2" rpy="0 0 1.5707963267948966"/>
+      <mass value="2"/>
+      <inertia ixx="0.03" ixy="0.001" ixz="0" iyy="0.02" iyz="0" izz="0.004"/>
+    </inertial>
+    <visual><geometry><box size="1 1 1"/></geometry></visual>
+  </link>
+  <link name="fore">
+    <inertial><origin xyz="0.15 0 0"/><mass value="1"/><inertia ixx="0.001" ixy="0" ixz="0" iyy="0.008" iyz="0" izz="0.008"/></inertial>
+  </link>
+  <link name="tool"/>
+  <joint name="shoulder pan" type="revolute">
+    <parent link="base"/><child link="upper"/><origin xyz="0 0 0.1" rpy="0 0 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="2" effort="50" velocity="3"/><dynamics damping="0.5" friction="0.1"/>
+  </joint>
+  <joint name="elbow" type="continuous">
+    <parent link="upper"/><child link="fore"/><origin xyz="0 0 0.4" rpy="0 1.5707963267948966 0"/><axis xyz="0 1 0"/>
+  </joint>
+  <joint name="flange" type="fixed"><parent link="fore"/><child link="tool"/><origin xyz="0.3 0 0"/></joint>
+</robot>"#;
+
+#[test]
+fn a_robot_becomes_a_scene() {
+    let made = import(ARM, "arm.urdf").unwrap();
+    assert_eq!((made.joints, made.mass), (2, 3.0));
+    let said = made.notes.join("; ");
+    for words in [
+        "shoulder_pan",
+        "Coulomb friction",
+        "its mass plays no part",
+        "look",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let scene = Scene::parse(&made.text, "arm.toml").unwrap();
+    let names: Vec<&str> = scene
+        .model
+        .states
+        .iter()
+        .map(|s| s.variable.name.as_str())
+        .collect();
+    assert_eq!(
+        names,
+        ["shoulder_pan", "elbow", "shoulder_pan_rate", "elbow_rate"]
+    );
+    assert_eq!(scene.model.controls[0].max, Some(50.0));
+    assert_eq!(scene.model.guards.len(), 4);
+
+    // Written by hand: the tensor turned by a right angle about z, heights from sines and cosines.
+    let at = MechanismAt::new(&scene).unwrap();
+    let (q1, q2) = (0.3, -0.4);
+    let found = at.at(&[q1, q2, 0.0, 0.0], &[0.0, 0.0], &[]);
+    // Both about y: the upper arm along z, the fore arm along its x, which points down at 0.
+    let about = [0.03 + 2.0 * 0.04, 0.008 + 0.15f64.powi(2)];
+    let way = 0.4f64;
+    // The fore arm's centre in the upper arm's frame.
+    let (x, z) = (-0.15 * q2.sin(), way - 0.15 * q2.cos());
+    let m22 = about[1];
+    let m11 = about[0] + 0.008 + x * x + z * z;
+    let m12 = 0.008 + x * (-0.15 * q2.sin()) + (z - way) * (z);
+    assert!(
+        (found.mass_matrix[1][1] - m22).abs() < 1e-12,
+        "{:?}",
+        found.mass_matrix
+    );
+    assert!(
+        (found.mass_matrix[0][0] - m11).abs() < 1e-12,
+        "{:?} {m11}",
+        found.mass_matrix
+    );
+    assert!(
+        (found.mass_matrix[0][1] - m12).abs() < 1e-12,
+        "{:?} {m12}",
+        found.mass_matrix
+    );
+    assert_eq!(found.points.len(), 1);
+}
+
+#[test]
+fn a_robot_that_floats_has_no_equilibrium() {
+    let floating = ARM.replace("type=\"continuous\"", "type=\"floating\"");
+    let made = import(&floating, "arm.urdf").unwrap();
+    assert!(made.notes.join("; ").contains("no equilibrium"));
+    let scene = Scene::parse(&made.text, "arm.toml").unwrap();
+    assert_eq!(scene.model.states.len(), 14);
+    assert!(scene.model.final_time().is_some());
+}
+
+#[test]
+fn what_is_no_robot_is_refused() {
+    let refused = |text: &str, words: &str| {
+        let error = import(text, "arm.urdf").unwrap_err().to_string();
+        assert!(error.contains(words), "{error}");
+    };
+    refused("<robot", "no URDF");
+    refused("hello", "no URDF");
+    refused("<robot xmlns:xacro=\"x\"></robot>", "xacro");
+    refused("<robot name=\"r\"><link name=\"a\"/></robot>", "no joint");
+    refused(
+        &ARM.replace("child link=\"fore\"", "child link=\"four\""),
+        "no link `four`",
+    );
+    refused(
+        &ARM.replace("type=\"continuous\"", "type=\"planar\""),
+        "planar",
+    );
+    refused(
+        &ARM.replace("axis xyz=\"0 1 0\"", "axis xyz=\"0 0 0\""),
+        "axis",
+    );
+    refused(
+        &ARM.replace("<mass value=\"1\"/>", "<mass value=\"0\"/>")
+            .replace("0.008", "0"),
+        "moves no mass",
+    );
+    refused(
+        &ARM.replace("parent link=\"base\"", "parent link=\"tool\""),
+        "circle",
+    );
+    refused(
+        &ARM.replace("mass value=\"2\"", "mass value=\"inf\""),
+        "finite",
+    );
+}
