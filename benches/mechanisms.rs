@@ -7,7 +7,7 @@
 
 use costate::backend::cpu::Cpu;
 use costate::backend::gpu::{Gpu, Selection};
-use costate::backend::{Backend, By, Kernel, Run, Spec};
+use costate::backend::{Backend, By, Kernel, Run, Spec, Status};
 use costate::low_level::expr::{Graph, Id};
 use costate::low_level::hamiltonian::{Hamiltonian, System};
 use costate::low_level::model::{Method, Model, Precision};
@@ -104,8 +104,11 @@ impl Work {
     fn seconds(&self, kernel: &mut dyn Kernel, steps: usize) -> f64 {
         let (run, seeds) = (Self::run(steps, self.dim), self.seeds());
         let begun = Instant::now();
-        kernel.integrate(&run, &seeds).expect("the backend works");
-        begun.elapsed().as_secs_f64()
+        let flown = kernel.integrate(&run, &seeds).expect("the backend works");
+        let seconds = begun.elapsed().as_secs_f64();
+        let all = |s: &Status| *s == Status::Reached;
+        assert!(flown.status.iter().all(all), "a trajectory failed");
+        seconds
     }
 
     /// Operations, milliseconds to compile, bytes of code, microseconds a state.

@@ -39,7 +39,8 @@ impl Graph {
                         Op::Sub => (1.0, -1.0),
                         Op::Mul => (y, x),
                         Op::Div => (1.0 / y, -v / y),
-                        Op::Pow => (y * x.powf(y - 1.0), v * x.ln()),
+                        // Of a base of 0 no change of the exponent matters.
+                        Op::Pow => (y * x.powf(y - 1.0), if v == 0.0 { 0.0 } else { v * x.ln() }),
                         Op::Min => (f64::from(x <= y), f64::from(x > y)),
                         Op::Max => (f64::from(x >= y), f64::from(x < y)),
                     };

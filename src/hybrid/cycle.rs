@@ -1,7 +1,7 @@
 //! Orbits that come back to themselves after some events: Newton's method on the return map, and the
 //! multipliers of its linearization.
 
-use super::flight::{End, Options, Simulator};
+use super::flight::{End, Jump, Options, Simulator};
 use crate::backend::BackendError;
 use nalgebra::{DMatrix, DVector};
 
@@ -9,12 +9,7 @@ use nalgebra::{DMatrix, DVector};
 const STEPS: usize = 40;
 const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
-/// Differences by which the return map is linearized, fourth order: what rounding and the tolerance
-/// leave of the map (a share of it), over the size of its fifth derivatives (in units of the state),
-/// gives the step whose two errors are equal.
-const FIFTH: f64 = 1e5;
-const LEAST_NOISE: f64 = 1e-14;
-/// Least size of a state that differences are relative to.
+/// Least size of a state that residuals are relative to.
 const LEAST_SIZE: f64 = 1e-3;
 
 /// A periodic orbit.
@@ -70,52 +65,80 @@ impl Simulator {
         let mut residual = f64::INFINITY;
         for iterations in 1..=STEPS {
             let size = x.amax().max(LEAST_SIZE);
-            let h = (options.rtol.max(LEAST_NOISE) / FIFTH).powf(0.2) * size;
-            // The state, and four about it along each axis.
-            let mut starts = x.as_slice().to_vec();
-            for j in 0..n {
-                for k in [-2.0, -1.0, 1.0, 2.0] {
-                    let mut moved = x.clone();
-                    moved[j] += k * h;
-                    starts.extend_from_slice(moved.as_slice());
-                }
-            }
-            let flown = self.fly(&starts, &options)?;
-            if let Some(i) = flown.end.iter().position(|end| *end != End::Events) {
+            let flown = self.fly(x.as_slice(), &options)?;
+            if flown.end[0] != End::Events {
                 return Ok(Err(CycleError::NoReturn {
-                    start: starts[i * n..][..n].to_vec(),
-                    end: flown.end[i],
+                    start: x.as_slice().to_vec(),
+                    end: flown.end[0],
                 }));
             }
-            let at = |i: usize| DVector::from_column_slice(&flown.last[i * n..][..n]);
-            let mut map = DMatrix::zeros(n, n);
-            for j in 0..n {
-                let [a, b, c, d] = [0, 1, 2, 3].map(|k| at(1 + 4 * j + k));
-                let slope = (&a - &d + 8.0 * (&c - &b)) / (12.0 * h);
-                map.set_column(j, &slope);
-            }
-            let off = at(0) - &x;
+            let map = self.linearized(x.as_slice(), &flown.jumps, &options)?;
+            let back = DVector::from_column_slice(&flown.last);
+            let off = &back - &x;
             residual = off.amax() / size;
             let step = (DMatrix::identity(n, n) - &map).lu().solve(&off);
-            let Some(step) = step.filter(|s| s.iter().all(|v| v.is_finite())) else {
-                break;
-            };
-            if step.amax() <= closed * size {
+            let step = step.filter(|s| s.iter().all(|v| v.is_finite()));
+            // Of a family of orbits none is singled out: any that is back will do.
+            let is_back = residual <= closed;
+            let is_small = (step.as_ref()).is_some_and(|s| s.amax() <= closed * size);
+            if is_back || is_small {
                 let eigenvalues = map.complex_eigenvalues();
                 let mut multipliers: Vec<[f64; 2]> =
                     eigenvalues.iter().map(|e| [e.re, e.im]).collect();
                 let size = |e: &[f64; 2]| e[0].hypot(e[1]);
                 multipliers.sort_by(|a, b| size(b).total_cmp(&size(a)));
                 return Ok(Ok(Cycle {
-                    start: at(0).as_slice().to_vec(),
+                    start: back.as_slice().to_vec(),
                     period: flown.t[0],
                     multipliers,
                     residual,
                     iterations,
                 }));
             }
-            x += step;
+            match step {
+                Some(step) => x += step,
+                None => break,
+            }
         }
         Ok(Err(CycleError::Diverged { residual }))
+    }
+
+    /// Derivative of the state after these events by the one at the beginning: of each phase the
+    /// variation at a given time, the event's time that changes with it, and the map (the saltation
+    /// matrix; M. di Bernardo et al., Piecewise-smooth Dynamical Systems, 2008, 2.5).
+    fn linearized(
+        &mut self,
+        from: &[f64],
+        jumps: &[Jump],
+        options: &Options,
+    ) -> Result<DMatrix<f64>, BackendError> {
+        let n = from.len();
+        let begins = std::iter::once(from).chain(jumps.iter().map(|j| j.after.as_slice()));
+        let times = std::iter::once(0.0).chain(jumps.iter().map(|j| j.t));
+        let mut seeds = Vec::new();
+        for ((begin, t), jump) in begins.zip(times).zip(jumps) {
+            for column in 0..n {
+                seeds.extend_from_slice(begin);
+                seeds.push(jump.t - t);
+                seeds.extend((0..n).map(|i| f64::from(u8::from(i == column))));
+            }
+        }
+        let width = 2 * n + 1;
+        let run = self.run(options, vec![1.0], width);
+        let flown = self.linear.varied.integrate(&run, &seeds)?;
+        let mut whole = DMatrix::identity(n, n);
+        for (k, jump) in jumps.iter().enumerate() {
+            let phi = DMatrix::from_fn(n, n, |i, j| flown.end[(k * n + j) * width + n + 1 + i]);
+            let rate = DVector::from_vec(self.linear.rates.eval(&jump.before));
+            let gradients = self.linear.gradients.eval(&jump.before);
+            let gradient = DVector::from_column_slice(&gradients[jump.event * n..][..n]);
+            let speed = gradient.dot(&rate);
+            let met = DMatrix::identity(n, n) - &rate * gradient.transpose() / speed;
+            if let Some(map) = &self.linear.jacobians[jump.event] {
+                let map = DMatrix::from_row_slice(n, n, &map.eval(&jump.before));
+                whole = map * met * phi * whole;
+            }
+        }
+        Ok(whole)
     }
 }

@@ -2,6 +2,7 @@
 //! are located to rounding, and the maps that they bring. Orbits that come back to themselves, and
 //! how their neighbours do.
 
+mod between;
 mod cycle;
 mod flight;
 mod watch;

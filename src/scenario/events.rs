@@ -7,7 +7,7 @@ use super::lexer::is_identifier;
 use super::mechanism::RATE;
 use super::reader::{Reader, Section, Value};
 use super::scope::Kinds;
-use crate::diagnostics::{Problem, did_you_mean, shorten};
+use crate::diagnostics::{Problem, shorten};
 use crate::expr::Id;
 use crate::mechanism::{Articulated, Constraint, Mechanism, Posed};
 use crate::model::{DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Simulation, Start};
@@ -171,15 +171,7 @@ impl<'a> Reader<'a> {
         let mut constraints: Vec<Constraint> = Vec::new();
         for name in names {
             let known = self.string(name, &format!("a point of {what}"))?;
-            let Some(point) = mechanism.points.iter().find(|p| p.name == known) else {
-                let help = did_you_mean(known, mechanism.points.iter().map(|p| p.name.as_str()));
-                let message = format!("unknown point `{}`", shorten(known));
-                self.report(Problem {
-                    help,
-                    ..Problem::at(name.span(), message, "not in [mechanism.points]")
-                });
-                return None;
-            };
+            let point = self.known_point(known, name.span(), &mechanism.points)?;
             constraints.extend(mechanism.axes(point));
         }
         if constraints.is_empty() {
@@ -222,12 +214,8 @@ impl<'a> Reader<'a> {
                     continue;
                 }
                 let message = format!("{what}: `{}` is no state", shorten(name));
-                let help = did_you_mean(name, after.keys().copied());
-                self.report(Problem {
-                    help,
-                    ..Problem::at(span, message, "states are relabelled")
-                });
-                return None;
+                let known = after.keys().copied();
+                return self.unknown((name, span), message, "states are relabelled", known);
             }
             for tail in ["", RATE] {
                 let (to, from) = (format!("{to}{tail}"), format!("{from}{tail}"));

@@ -5,7 +5,6 @@ use super::keys::keys_of;
 use super::lexer::is_identifier;
 use super::reader::{Reader, Section, Value};
 use crate::diagnostics::Problem;
-use crate::diagnostics::did_you_mean;
 use crate::diagnostics::shorten;
 use crate::model::{Activation, Base, Feedback, Guard, LawOutput, Target};
 use toml::de::DeValue;
@@ -226,7 +225,8 @@ impl<'a> Reader<'a> {
                     .iter()
                     .chain(&declared.states)
                     .map(|d| d.name);
-                return self.unknown(name, value, "neither a control nor a state", known);
+                let message = format!("`{}` is neither a control nor a state", shorten(name));
+                return self.unknown((name, value.span()), message, "not known", known);
             };
             if outputs.contains(&found) {
                 return self.refuse(
@@ -238,23 +238,6 @@ impl<'a> Reader<'a> {
             outputs.push(found);
         }
         Some(Target::Law(outputs))
-    }
-
-    fn unknown<'n, T>(
-        &mut self,
-        name: &str,
-        value: &Value<'_>,
-        what: &str,
-        known: impl Iterator<Item = &'n str>,
-    ) -> Option<T> {
-        let mut problem = Problem::at(
-            value.span(),
-            format!("`{}` is {what}", shorten(name)),
-            "not known",
-        );
-        problem.help = did_you_mean(name, known);
-        self.report(problem);
-        None
     }
 
     fn inputs(
@@ -272,7 +255,9 @@ impl<'a> Reader<'a> {
         let mut inputs: Vec<usize> = Vec::new();
         for (name, value) in self.words(value, "inputs")? {
             let Some(i) = states.iter().position(|d| d.name == name) else {
-                return self.unknown(name, value, "not a state", states.iter().map(|d| d.name));
+                let message = format!("`{}` is not a state", shorten(name));
+                let known = states.iter().map(|d| d.name);
+                return self.unknown((name, value.span()), message, "not known", known);
             };
             if inputs.contains(&i) || commanded(i) {
                 let reason = if commanded(i) {

@@ -100,6 +100,22 @@ impl<'a> Reader<'a> {
         None
     }
 
+    /// Reports a name that is not one of those known, and which of them may be meant.
+    pub fn unknown<'k, T>(
+        &mut self,
+        (name, span): (&str, Span),
+        message: impl Into<String>,
+        label: &str,
+        known: impl Iterator<Item = &'k str>,
+    ) -> Option<T> {
+        let help = did_you_mean(name, known);
+        self.report(Problem {
+            help,
+            ..Problem::at(span, message, label)
+        });
+        None
+    }
+
     /// Refuses all keys but those of the section, or table within one, of this name.
     pub fn check_keys(&mut self, section: &Section<'_>, of: &str) {
         let known = keys_of(of);

@@ -371,7 +371,13 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     if !mechanism.constraints.is_empty() {
         sums.push(Sum {
             name: "accelerations of held points are 0",
-            places: held.accelerations(g, second),
+            places: (held.accelerations(g, second).into_iter())
+                .map(|mut terms| {
+                    // Of a size that accelerations have: along a rail they may be rounding alone.
+                    terms.extend(second.iter().flat_map(|a| [*a, g.neg(*a)]));
+                    terms
+                })
+                .collect(),
         });
         // A collision: M dq' = J' impulse, all held points at rest after it, and the energy that is
         // lost is that of dq'.
@@ -449,7 +455,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     let symbols = inputs(model);
     let program = lower(g, model, &symbols, &outputs);
     let follows = free.len() < mechanism.q.len();
-    let mut worst = vec![0.0f64; sums.len()];
+    let (mut worst, mut seen) = (vec![0.0f64; sums.len()], vec![false; sums.len()]);
     for k in 0..STATES {
         let at: Vec<f64> = (0..symbols.len())
             .map(|i| {
@@ -461,7 +467,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
             .collect();
         let all = program.eval(&at);
         let mut rest = &all[..];
-        for (worst, places) in worst.iter_mut().zip(&lengths) {
+        for ((worst, seen), places) in worst.iter_mut().zip(&mut seen).zip(&lengths) {
             let (mut size, mut off, mut finite) = (0.0f64, 0.0f64, true);
             for length in places {
                 let (terms, left) = rest.split_at(*length);
@@ -470,6 +476,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
                 size = terms.iter().fold(size, |a, t| a.max(t.abs()));
                 off = off.max(terms.iter().sum::<f64>().abs());
             }
+            *seen |= finite;
             if finite && size > 0.0 {
                 *worst = worst.max(off / size);
             } else if !finite && !follows {
@@ -478,10 +485,11 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
             }
         }
     }
-    (sums.iter().zip(worst))
-        .map(|(sum, residual)| Identity {
+    (sums.iter().zip(worst).zip(seen))
+        .map(|((sum, residual), seen)| Identity {
             name: sum.name.to_owned(),
-            residual,
+            // Of numbers that are nowhere finite nothing is kept.
+            residual: if seen { residual } else { f64::INFINITY },
         })
         .collect()
 }

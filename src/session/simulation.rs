@@ -8,6 +8,7 @@ use crate::hybrid::{Cycle, CycleError, End, Flights, Options, Simulator};
 use crate::model::{
     DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Horizon, Method, Model, Precision,
 };
+use crate::numeric::random::uniform;
 use crate::program::Program;
 use crate::scene::Scene;
 use crate::sweep::Numerics;
@@ -226,7 +227,7 @@ impl Session<'_> {
             (&x, &rates),
             (&events, &guards),
             (self.backend.as_ref(), numerics.method, numerics.precision),
-            samples > 0,
+            &some_states(model),
         )?;
         let widths = model.region.iter().map(|[lo, hi]| hi - lo);
         let options = Options {
@@ -291,6 +292,15 @@ impl Session<'_> {
             }
         })
     }
+}
+
+/// States of the region, at random, and where flights may begin.
+fn some_states(model: &Model) -> Vec<f64> {
+    const STATES: u64 = 64;
+    let n = model.states.len() as u64;
+    let at = |k: u64, i: u64, [lower, upper]: [f64; 2]| lower + uniform(k, i) * (upper - lower);
+    let random = (0..STATES).flat_map(|k| (0..n).map(move |i| at(k, i, model.region[i as usize])));
+    random.chain(model.reference().iter().copied()).collect()
 }
 
 /// A scene's expressions as functions of its states: parameters are numbers, disturbances 0, and

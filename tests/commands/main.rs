@@ -22,6 +22,7 @@ mod feedback;
 mod game;
 mod guide;
 mod horizons;
+mod import;
 mod program;
 mod published;
 mod refusals;

@@ -59,7 +59,7 @@ fn flights_are_printed_and_written() {
     let text = String::from_utf8_lossy(&done.stdout);
     for words in [
         "2 flights simulated",
-        "time: 2",
+        "time: 1, zeno: 1",
         "flight 2",
         "floor",
         "after it",
@@ -150,7 +150,7 @@ fn what_cannot_be_simulated_is_refused() {
         assert_eq!(done.status.code(), Some(2), "{arguments:?}: {text}");
         assert!(text.contains(words), "{arguments:?}: {text}");
     };
-    refused(&["--law", "lqr"], "no equilibrium");
+    refused(&["--law", "lqr"], "the horizon is finite");
     refused(&["--law", "map"], "costate evaluate");
     refused(&["--time", "0"], "above 0");
     refused(&["--events", "0"], "events");

@@ -6,6 +6,7 @@ use common::{Mismatch, Side, Tolerance, any_gpu, compare};
 use costate::backend::cpu::{Cpu, Simd};
 use costate::backend::{Backend, By, Guards, Run, Spec, Status, Trajectories};
 use costate::low_level::expr::{Fun, Graph, Id, Kind};
+use costate::low_level::hamiltonian::{Hamiltonian, System};
 use costate::low_level::model::{Method, Precision};
 use costate::low_level::program::{Instr, Program};
 
@@ -615,4 +616,70 @@ fn an_empty_batch_is_empty() {
         integrate(&any_gpu(), &spec, &problem.run(Precision::F32), &[]).count(),
         0
     );
+}
+
+/// Right-hand sides that are too long for a copy at each stage.
+#[test]
+fn long_equations_on_a_device() {
+    const LINKS: usize = 12;
+    let each = |line: &dyn Fn(usize) -> String| -> String { (1..=LINKS).map(line).collect() };
+    let terms: Vec<String> = (1..=LINKS)
+        .map(|k| format!("link{k}^2 + link{k}_rate^2 + u{k}^2"))
+        .collect();
+    let scene = format!(
+        "[mechanism]\ngravity = [0, -9.81]\n[mechanism.bodies]\n\
+         link = {{ chain = {LINKS}, joint = \"revolute\", at = [0.5, 0], mass = 1, shape = {{ rod = 0.5 }} }}\n\
+         [mechanism.forces]\n{}[controls]\n{}[cost]\nrunning = \"0.5*({})\"\nterminal = \"0\"\nfinal_time = 1\n[region]\n{}",
+        each(&|k| format!("link{k} = \"u{k}\"\n")),
+        each(&|k| format!("u{k} = {{}}\n")),
+        terms.join(" + "),
+        each(&|k| format!("link{k} = [-3, 3]\nlink{k}_rate = [-3, 3]\n")),
+    );
+    let model = costate::low_level::scenario::parse(&scene, "chain.toml", &[]).unwrap();
+    let hamiltonian = Hamiltonian::derive(&model).unwrap();
+    let system = System::new(&hamiltonian, &model);
+    let rate = Program::lower(&system.graph, &system.inputs, &system.rate);
+    assert!(rate.operations() > 2000, "{}", rate.operations());
+    let dim = rate.outputs.len();
+    let seeds: Vec<f64> = (0..40 * dim)
+        .map(|i| 0.2 * (1.0 + i as f64 * 0.7548776662).sin())
+        .collect();
+    let (cpu, gpu) = (Cpu::new(), any_gpu());
+    for (method, store) in [(Method::Dop853, true), (Method::Rk4, false)] {
+        let spec = Spec {
+            rate: rate.clone(),
+            guards: None,
+            kinks: None,
+            method,
+            precision: Precision::F64,
+            by: By::Time,
+            store,
+        };
+        let run = Run {
+            rtol: 1e-8,
+            atol: vec![1e-8; dim],
+            step: 1e-3,
+            first: None,
+            max_steps: 1000,
+            levels: vec![0.01, 0.02],
+            ceiling: None,
+            bounds: Vec::new(),
+        };
+        let here = integrate(&cpu, &spec, &run, &seeds);
+        let there = gpu.compile(&spec).unwrap().integrate(&run, &seeds).unwrap();
+        assert_eq!(here.status, there.status);
+        assert!(here.status.iter().all(|s| *s == Status::Reached));
+        assert!(there.samples.len() == here.samples.len() && (store != here.samples.is_empty()));
+        for (a, b) in here
+            .end
+            .iter()
+            .zip(&there.end)
+            .chain(here.samples.iter().zip(&there.samples))
+        {
+            assert!(
+                (a - b).abs() < 1e-9 * a.abs().max(1.0),
+                "{method:?}: {a} {b}"
+            );
+        }
+    }
 }

@@ -527,3 +527,34 @@ fn a_tensor_of_a_chain_of_three_is_not_guessed() {
         "{refused}"
     );
 }
+
+/// Axes of a chain's links, by name: the same links one by one.
+#[test]
+fn axes_of_a_chain_by_name() {
+    let rest = |names: [&str; 3]| {
+        let each = |of: &dyn Fn(&str) -> String| names.map(of).concat();
+        format!(
+            "[mechanism.forces]\n{}[controls]\nu = {{}}\n[cost]\nrunning = \"u^2\"\nterminal = \"0\"\nfinal_time = 1\n[region]\n{}",
+            each(&|n| format!("{n} = \"u\"\n")),
+            each(&|n| format!("{n} = [-1, 1]\n{n}_rate = [-1, 1]\n")),
+        )
+    };
+    let begin = "[mechanism]\ngravity = [0, 0, -9.81]\n[mechanism.bodies]\n";
+    let body = "joint = \"revolute\", mass = 1, shape = { box = [0.4, 0.1, 0.2] }";
+    let chain = format!(
+        "{begin}a = {{ {body}, chain = 3, at = [0.4, 0, 0], axis = [\"z\", \"y\", \"x\"] }}\n{}",
+        rest(["a1", "a2", "a3"])
+    );
+    let apart = format!(
+        "{begin}a1 = {{ {body}, axis = \"z\" }}\na2 = {{ {body}, parent = \"a1\", at = [0.4, 0, 0], axis = \"y\" }}\n\
+         a3 = {{ {body}, parent = \"a2\", at = [0.4, 0, 0], axis = \"x\" }}\n{}",
+        rest(["a1", "a2", "a3"])
+    );
+    let [chain, apart] = [chain, apart].map(|text| {
+        let scene = Scene::parse(&text, "scene.toml").unwrap_or_else(|e| panic!("{e}"));
+        let at = MechanismAt::new(&scene).unwrap();
+        at.at(&[0.3, -0.4, 0.5, 0.1, 0.2, -0.3], &[0.7], &[])
+    });
+    assert_eq!(chain, apart);
+    assert!(chain.accelerations.iter().all(|a| a.abs() > 1e-3));
+}

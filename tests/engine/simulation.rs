@@ -77,12 +77,12 @@ fn a_compass_gait_comes_back_to_itself() {
         assert!((swing_rate - number(&gait["swing_rate_after_impact"])).abs() < 1e-9);
         let mut sizes: Vec<f64> = cycle.multipliers.iter().map(|[a, b]| a.hypot(*b)).collect();
         assert!(
-            sizes.pop().unwrap() < 1e-6,
+            sizes.pop().unwrap() < 1e-9,
             "states after a strike lie on a surface"
         );
         let published = gait["return_map_eigenvalue_moduli"].as_array().unwrap();
         for (size, other) in sizes.iter().zip(published.iter().rev()) {
-            assert!((size - number(other)).abs() < 1e-7, "{size} {other}");
+            assert!((size - number(other)).abs() < 1e-9, "{size} {other}");
         }
         assert!(cycle.is_stable());
 
@@ -327,5 +327,129 @@ fn every_method_locates() {
             assert!((a.t - b.t).abs() < 1e-8, "{method}: {} {}", a.t, b.t);
         }
         assert_eq!(done.flights.jumps.len(), reference.flights.jumps.len());
+    }
+}
+
+/// Conditions that are true only within a step of the integration.
+#[test]
+fn a_short_condition_is_not_missed() {
+    let pi = std::f64::consts::PI;
+    let counted = |dynamics: [&str; 2], when: &str, from: [f64; 3], time: f64| -> Vec<f64> {
+        let rest = format!("[events.e]\nwhen = \"{when}\"\nset = {{ n = \"n + 1\" }}");
+        let done = simulated(&oscillator(dynamics, &rest), &from, time);
+        assert_eq!(
+            done.status(0),
+            "time",
+            "{when}: {:?}",
+            done.flights.jumps.last()
+        );
+        done.flights.jumps.iter().map(|j| j.t).collect()
+    };
+    let swing = ["v", "-x"];
+    for depth in [0.5, 0.05, 0.01, 1e-3, 1e-4] {
+        // cos t <= depth - 1 from acos(depth - 1) on, in each turn.
+        let when = format!("x <= {depth} - 1");
+        let found = counted(swing, &when, [1.0, 0.0, 0.0], 20.0);
+        let first = (depth - 1.0f64).acos();
+        assert_eq!(found.len(), 3, "{depth}: {found:?}");
+        for (k, t) in found.iter().enumerate() {
+            let exact = first + 2.0 * pi * k as f64;
+            assert!((t - exact).abs() < 1e-9, "{depth}: {t} {exact}");
+        }
+    }
+    assert_eq!(
+        counted(swing, "x*v >= 0.49", [1.0, 0.0, 0.0], 62.8).len(),
+        20
+    );
+    assert_eq!(
+        counted(swing, "cos(20*x) <= -0.9", [1.0, 0.0, 0.0], 62.8).len(),
+        120
+    );
+    let clock = ["1", "0"];
+    for (when, count) in [
+        ("sin(x) >= 0", 16),
+        ("sin(x) >= 0.999", 16),
+        ("sin(5*x) >= 0.5", 80),
+        ("sin(50*x) >= 0.5", 796),
+        ("abs(x - 12.345) <= 1e-5", 1),
+    ] {
+        let found = counted(clock, when, [-0.01, 0.0, 0.0], 100.0);
+        assert_eq!(found.len(), count, "{when}");
+    }
+    // A condition that is only touched, or nearly, is not met.
+    assert!(counted(swing, "x <= -1.0001", [1.0, 0.0, 0.0], 20.0).is_empty());
+}
+
+/// After an event its condition may stay true: it is met once.
+#[test]
+fn an_event_is_met_once() {
+    // Brought to rest on the floor, which holds nothing.
+    let floor = "[events.floor]\nwhen = \"x <= 0\"\nset = { v = 0, n = \"n + 1\" }";
+    for height in [0.1, 0.37, 1.0, 1.7] {
+        let done = simulated(&oscillator(["v", "-9.81"], floor), &[height, 0.0, 0.0], 2.0);
+        assert_eq!(done.flights.jumps.len(), 1, "{height}");
+        assert_eq!(done.status(0), "time");
+    }
+    // Two at once: each once.
+    let both = "[events.a]\nwhen = \"x >= 1\"\nset = { n = \"n + 1\" }\n[events.b]\nwhen = \"v >= 2\"\nset = { n = \"n + 10\" }";
+    let done = simulated(&oscillator(["1", "2"], both), &[0.0, 0.0, 0.0], 3.0);
+    assert_eq!(done.flights.last[2], 11.0, "{:?}", done.flights.jumps);
+    assert_eq!(done.status(0), "time");
+    // True from the beginning, and on the surface from the beginning.
+    let rising = "[events.up]\nwhen = \"x >= 0\"\nset = { n = \"n + 1\" }";
+    let done = simulated(&oscillator(["v", "-x"], rising), &[0.0, 1.0, 0.0], 7.0);
+    let times: Vec<f64> = done.flights.jumps.iter().map(|j| j.t).collect();
+    assert_eq!(times.len(), 1, "{times:?}");
+    assert!((times[0] - 2.0 * std::f64::consts::PI).abs() < 1e-9);
+    // A condition without a value.
+    let root = "[events.far]\nwhen = \"sqrt(x - 5) >= 1\"\nends = true";
+    let done = simulated(&oscillator(["1", "0"], root), &[0.0, 0.0, 0.0], 20.0);
+    assert_eq!(done.status(0), "no_condition");
+    // Regular bounces for a long time are no accumulation.
+    let elastic = "[events.floor]\nwhen = \"x <= 0\"\nset = { v = \"-v\" }";
+    let options = SimulationOptions {
+        time: Some(1e9),
+        events: Some(100),
+        samples: Some(0),
+        ..SimulationOptions::default()
+    };
+    let ball = oscillator(["v", "-9.81"], elastic);
+    let done = Session::new(&ball)
+        .simulate(Some(&[1.0, 0.0, 0.0]), &options)
+        .unwrap();
+    assert_eq!(done.status(0), "events");
+    let exact = 199.0 * (2.0f64 / 9.81).sqrt();
+    assert!(
+        (done.flights.t[0] - exact).abs() < 1e-7,
+        "{} {exact}",
+        done.flights.t[0]
+    );
+}
+
+/// A Poincare section: the van der Pol oscillator's limit cycle.
+#[test]
+fn an_orbit_through_a_section() {
+    let section = "[events.section]\nwhen = \"x >= 0\"\nset = { n = \"0\" }";
+    let scene = oscillator(["v", "(1 - x^2)*v - x"], section);
+    for guess in [[0.0, 2.0, 0.0], [0.5, 1.5, 0.0]] {
+        let options = SimulationOptions {
+            time: Some(30.0),
+            ..SimulationOptions::default()
+        };
+        let found = Session::new(&scene)
+            .cycles(Some(&guess), 1, &options)
+            .unwrap();
+        let cycle = found[0].as_ref().unwrap();
+        assert!(
+            (cycle.period - 6.6632868593).abs() < 1e-8,
+            "{}",
+            cycle.period
+        );
+        // exp of the integral of the divergence, 1 - x^2, along the orbit.
+        assert!(
+            (cycle.multipliers[0][0] - 8.6e-4).abs() < 5e-5,
+            "{:?}",
+            cycle.multipliers
+        );
     }
 }

@@ -41,8 +41,39 @@ pub enum ImportError {
     Joint { joint: String, kind: &'static str },
     #[error("joint `{joint}`: {what}")]
     Number { joint: String, what: String },
-    #[error("what the robot says makes no mechanism:\n{0}")]
+    #[error("what the robot says makes no mechanism: {}", said(.0))]
     Scene(ScenarioErrors),
+    #[error("{count} joints that move; a mechanism may have {MOST_JOINTS}")]
+    TooMany { count: usize },
+}
+
+/// Joints that move, and depth of elements in the file, at most.
+const MOST_JOINTS: usize = 200;
+const DEEPEST: usize = 64;
+
+/// The problems of a scene that nobody has seen, without their places.
+fn said(errors: &ScenarioErrors) -> String {
+    let all = errors.problems.iter().map(|p| match &p.help {
+        Some(help) => format!("{} ({help})", p.message),
+        None => p.message.clone(),
+    });
+    all.collect::<Vec<_>>().join("; ")
+}
+
+/// Whether elements are nested deeper than any robot's: parsers descend into them.
+fn is_too_deep(text: &str) -> bool {
+    let (mut depth, mut deepest) = (0usize, 0usize);
+    for part in text.split('<').skip(1) {
+        let closes = part.starts_with('/');
+        let alone = part.split('>').next().is_some_and(|tag| tag.ends_with('/'));
+        if closes {
+            depth = depth.saturating_sub(1);
+        } else if !alone && !part.starts_with(['?', '!']) {
+            depth += 1;
+            deepest = deepest.max(depth);
+        }
+    }
+    deepest > DEEPEST
 }
 
 /// A joint with the link that it moves.
@@ -63,12 +94,19 @@ pub fn import(urdf: &str, file: &str) -> Result<Imported, ImportError> {
     if urdf.contains("xmlns:xacro") || urdf.contains("<xacro:") {
         return Err(ImportError::Xacro);
     }
+    if is_too_deep(urdf) {
+        let what = format!("its elements are nested more than {DEEPEST} deep");
+        return Err(ImportError::Urdf(what));
+    }
     let robot = urdf_rs::read_from_string(urdf).map_err(|e| ImportError::Urdf(e.to_string()))?;
     let mut notes = Vec::new();
     let parts = parts(&robot, &mut notes)?;
     let joints = parts.iter().filter(|p| !p.fixed).count();
     if joints == 0 {
         return Err(ImportError::Rigid);
+    }
+    if joints > MOST_JOINTS {
+        return Err(ImportError::TooMany { count: joints });
     }
     for part in &parts {
         check(part)?;
@@ -79,17 +117,19 @@ pub fn import(urdf: &str, file: &str) -> Result<Imported, ImportError> {
     // Torques that hold the robot where it is to stand are asked of the mechanism itself.
     let first = scene.text(None);
     let read = Scene::parse(&first, file).map_err(ImportError::Scene)?;
-    let hold = scene
-        .is_actuated()
-        .then(|| holding(&read, &scene))
-        .flatten();
-    let text = scene.text(hold.as_deref());
+    let actuated = scene.is_actuated();
+    let hold = actuated.then(|| holding(&read, &scene)).flatten();
+    let held = hold.filter(|hold| scene.can_hold(hold));
+    let text = scene.text(held.as_deref());
     Scene::parse(&text, file).map_err(ImportError::Scene)?;
-    if hold.is_none() {
-        notes.push(
-            "no equilibrium: not every coordinate has a motor, so the cost is that of a finite horizon"
-                .to_owned(),
-        );
+    if held.is_none() {
+        let why = match actuated {
+            true => "the motors cannot hold the robot where the scene begins",
+            false => "not every coordinate has a motor",
+        };
+        notes.push(format!(
+            "no equilibrium: {why}, so the cost is that of a finite horizon"
+        ));
     }
     let mass = parts.iter().map(|p| p.link.inertial.mass.value).sum();
     Ok(Imported {
@@ -127,7 +167,12 @@ fn parts<'r>(robot: &'r Robot, notes: &mut Vec<String>) -> Result<Vec<Part<'r>>,
     let tree = |what: String| Err(ImportError::Tree(what));
     let links: BTreeMap<&str, &Link> = robot.links.iter().map(|l| (l.name.as_str(), l)).collect();
     if links.len() < robot.links.len() {
-        return tree("two links have the same name".to_owned());
+        let twice = robot.links.iter().find(|l| {
+            let same = robot.links.iter().filter(|other| other.name == l.name);
+            same.count() > 1
+        });
+        let name = twice.map_or("", |l| l.name.as_str());
+        return tree(format!("two links are called `{name}`"));
     }
     for joint in &robot.joints {
         for link in [&joint.parent.link, &joint.child.link] {
@@ -147,6 +192,9 @@ fn parts<'r>(robot: &'r Robot, notes: &mut Vec<String>) -> Result<Vec<Part<'r>>,
     let roots: Vec<&Link> = robot.links.iter().filter(|l| moves(l) == 0).collect();
     let [root] = roots.as_slice() else {
         let names: Vec<&str> = roots.iter().map(|l| l.name.as_str()).collect();
+        if robot.links.is_empty() {
+            return tree("there is no link in it".to_owned());
+        }
         return tree(match names.is_empty() {
             true => "links hang on each other in a circle".to_owned(),
             false => format!("more than one link hangs on nothing: {}", names.join(", ")),
@@ -252,6 +300,29 @@ fn remarks(robot: &Robot, parts: &[Part<'_>], notes: &mut Vec<String>) {
         notes.push(format!(
             "left out: safety controllers and calibration of {}",
             safe.join(", ")
+        ));
+    }
+    let odd = some(&|j| {
+        let limit = &j.limit;
+        let bounded = limit.lower != 0.0 || limit.upper != 0.0;
+        let slides = matches!(j.joint_type, JointType::Revolute | JointType::Prismatic);
+        let is_range = limit.lower < limit.upper;
+        (slides && bounded && !is_range) || limit.effort < 0.0 || limit.velocity < 0.0
+    });
+    if !odd.is_empty() {
+        notes.push(format!(
+            "left out: limits that are no limits (lower not below upper, or negative) of {}",
+            odd.join(", ")
+        ));
+    }
+    let pushes = some(&|j| {
+        let damping = j.dynamics.as_ref().map_or(0.0, |d| d.damping);
+        damping < 0.0 || damping.is_nan()
+    });
+    if !pushes.is_empty() {
+        notes.push(format!(
+            "left out: damping that is negative or no number of {}",
+            pushes.join(", ")
         ));
     }
     let jerks = some(&|j| j.limit.acceleration.is_finite() || j.limit.jerk.is_finite());

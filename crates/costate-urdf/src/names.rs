@@ -34,7 +34,7 @@ impl Names {
             name = free.unwrap_or(name);
         }
         if name != given {
-            notes.push(format!("`{given}` is called {name}"));
+            notes.push(format!("`{}` is called {name}", given.escape_debug()));
         }
         for tail in [
             "", "_rate", "_force", "_x", "_y", "_z", "_yaw", "_pitch", "_roll",

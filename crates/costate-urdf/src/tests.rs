@@ -93,6 +93,21 @@ fn a_robot_that_floats_has_no_equilibrium() {
 }
 
 #[test]
+fn a_motor_that_is_too_weak_holds_nothing() {
+    let lying =
+        (ARM.replace("effort=\"50\"", "effort=\"0.5\"")).replace("rpy=\"0 0 0\"", "rpy=\"0 1 0\"");
+    let made = import(&lying, "arm.urdf").unwrap();
+    let said = made.notes.join("; ");
+    assert!(said.contains("cannot hold"), "{said}");
+    let scene = Scene::parse(&made.text, "arm.toml").unwrap();
+    assert_eq!(scene.model.controls[0].max, Some(0.5));
+    assert!(scene.model.final_time().is_some());
+    let odd = ARM.replace("lower=\"-1\" upper=\"2\"", "lower=\"2\" upper=\"-1\"");
+    let said = import(&odd, "arm.urdf").unwrap().notes.join("; ");
+    assert!(said.contains("limits that are no limits"), "{said}");
+}
+
+#[test]
 fn what_is_no_robot_is_refused() {
     let refused = |text: &str, words: &str| {
         let error = import(text, "arm.urdf").unwrap_err().to_string();
@@ -100,6 +115,15 @@ fn what_is_no_robot_is_refused() {
     };
     refused("<robot", "no URDF");
     refused("hello", "no URDF");
+    let nested = format!(
+        "<robot>{}{}</robot>",
+        "<a>".repeat(20000),
+        "</a>".repeat(20000)
+    );
+    refused(&nested, "nested");
+    refused("<robot name=\"r\"/>", "no link");
+    let twice = ARM.replace("<link name=\"tool\"/>", "<link name=\"fore\"/>");
+    refused(&twice, "two links are called `fore`");
     refused("<robot xmlns:xacro=\"x\"></robot>", "xacro");
     refused("<robot name=\"r\"><link name=\"a\"/></robot>", "no joint");
     refused(

@@ -54,6 +54,15 @@ impl<'r> Scene<'r> {
         self.coordinates().iter().all(|c| c.effort.is_some())
     }
 
+    /// Whether forces that hold the coordinates are within what the motors can do.
+    pub fn can_hold(&self, hold: &[f64]) -> bool {
+        let all = self.coordinates();
+        all.iter().zip(hold).all(|(c, force)| match c.effort {
+            Some(effort) if effort > 0.0 => force.abs() < 0.999 * effort,
+            _ => true,
+        })
+    }
+
     /// Coordinates with where the scene begins.
     pub fn places(&self) -> Vec<(String, f64)> {
         let all = self.coordinates();

@@ -2,7 +2,7 @@
 
 use super::bodies::Spec;
 use super::names::Kind;
-use crate::diagnostics::{Problem, did_you_mean, shorten};
+use crate::diagnostics::{Problem, shorten};
 use crate::mechanism::{Body, Inertia, Joint, Link, Mount, Tree};
 use crate::scenario::reader::Reader;
 use glam::{DMat3, DVec3};
@@ -109,11 +109,8 @@ impl Reader<'_> {
                     shorten(name),
                     spec.name
                 );
-                let help = did_you_mean(name, names().chain(["world"]));
-                self.report(Problem {
-                    help,
-                    ..Problem::at(span.clone(), message, "no such body")
-                });
+                let known = names().chain(["world"]);
+                self.unknown::<()>((name, span.clone()), message, "no such body", known);
                 all_known = false;
             }
             parents.push(parent);

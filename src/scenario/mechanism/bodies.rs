@@ -160,11 +160,13 @@ impl<'a> Reader<'a> {
                     };
                     if kind.coordinates().len() != 1 {
                         let message = format!("{what}: the joint has not one coordinate");
-                        return self.refuse(
-                            value.span(),
-                            message,
-                            "write it in [mechanism.forces]",
-                        );
+                        let label = match key {
+                            "rotor" => {
+                                "make it of joints of one coordinate, on bodies without mass"
+                            }
+                            _ => "write it in [mechanism.forces]",
+                        };
+                        return self.refuse(value.span(), message, label);
                     }
                     match key {
                         "damping" | "rotor" => {
@@ -357,7 +359,14 @@ impl<'a> Reader<'a> {
             let message = format!("{what}: only revolute and prismatic joints have one");
             return self.refuse(value.span(), message, "remove this");
         }
-        let value = self.one_of(value, which, 1)?;
+        // Names of axes, one a link, are no vector.
+        let is_name = |v: &Value<'_>| matches!(v.get_ref().as_str(), Some("x" | "y" | "z"));
+        let names = value
+            .get_ref()
+            .as_array()
+            .is_some_and(|all| all.iter().all(is_name));
+        let levels = usize::from(!(which.is_chain && names));
+        let value = self.one_of(value, which, levels)?;
         if which.planar && kind == Kind::Revolute {
             let message = format!("{what}: in two dimensions joints turn about z");
             return self.refuse(value.span(), message, "remove this");

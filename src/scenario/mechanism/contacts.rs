@@ -3,9 +3,9 @@
 
 use super::Structure;
 use super::names::RATE;
-use crate::diagnostics::{Problem, did_you_mean, shorten};
+use crate::diagnostics::{Problem, shorten};
 use crate::expr::Id;
-use crate::mechanism::{Articulated, Constraint, Mount, Named, Posed, Tree};
+use crate::mechanism::{Articulated, Constraint, Named, Posed, Tree};
 use crate::model::Span;
 use crate::scenario::build::Use;
 use crate::scenario::reader::{Reader, Section, Value};
@@ -48,11 +48,8 @@ impl<'a> Reader<'a> {
         for (name, span, value) in section.into_iter().flat_map(|s| s.entries()) {
             if !names.contains(&name) {
                 let message = format!("unknown coordinate `{}`", shorten(name));
-                let help = did_you_mean(name, names.iter().copied());
-                self.report(Problem {
-                    help,
-                    ..Problem::at(span, message, "no such coordinate")
-                });
+                let known = names.iter().copied();
+                self.unknown::<()>((name, span), message, "no such coordinate", known);
                 all_good = false;
                 continue;
             }
@@ -114,23 +111,19 @@ impl<'a> Reader<'a> {
         all_good.then_some((constraints, names))
     }
 
-    /// Where a named point is; one that is not known is reported.
-    pub(super) fn known_point(
+    /// A named point; one that is not known is reported.
+    pub(in crate::low_level::scenario) fn known_point<'p>(
         &mut self,
         name: &str,
         span: Span,
-        points: &[Named],
-    ) -> Option<(Mount, DVec3)> {
+        points: &'p [Named],
+    ) -> Option<&'p Named> {
         if let Some(point) = points.iter().find(|p| p.name == name) {
-            return Some((point.mount, point.at));
+            return Some(point);
         }
         let message = format!("unknown point `{}`", shorten(name));
-        let help = did_you_mean(name, points.iter().map(|p| p.name.as_str()));
-        self.report(Problem {
-            help,
-            ..Problem::at(span, message, "not in [mechanism.points]")
-        });
-        None
+        let known = points.iter().map(|p| p.name.as_str());
+        self.unknown((name, span), message, "not in [mechanism.points]", known)
     }
 
     fn contact(
@@ -145,15 +138,20 @@ impl<'a> Reader<'a> {
         let table = self.table(value, value.span(), &what)?;
         self.check_keys(&table, "mechanism.contacts");
         let at = self.known_point(name, span.clone(), points)?;
+        let at = (at.mount, at.at);
         let against = match table.get("with") {
             Some(other) => {
                 let known = self.string(other, &format!("the point that {what} is held to"))?;
-                Some(self.known_point(known, other.span(), points)?)
+                let other = self.known_point(known, other.span(), points)?;
+                Some((other.mount, other.at))
             }
             None => None,
         };
         if at.0.body == against.and_then(|(mount, _)| mount.body) {
-            let message = format!("{what}: both points are on one body");
+            let message = match (at.0.body, &against) {
+                (None, None) => format!("{what}: the point is on what is fixed to the world"),
+                _ => format!("{what}: both points are on one body"),
+            };
             return self.refuse(span.clone(), message, "nothing is held by it");
         }
         let axes: &[(&str, DVec3)] = &[("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)];
@@ -249,10 +247,6 @@ impl<'a> Reader<'a> {
         let held = posed.held(&mut graph, &articulated, constraints);
         let mobility = held.mobility().concat();
         let velocities = held.velocities(&mut graph);
-        let symbols: Vec<Id> = (graph.reachable(&[&mobility[..], &velocities].concat()))
-            .into_iter()
-            .filter(|id| graph.as_symbol(*id).is_some())
-            .collect();
         // What the points could move by if they were free, in any direction.
         let anyway: Vec<Constraint> = (constraints.iter())
             .flat_map(|c| {
@@ -264,6 +258,10 @@ impl<'a> Reader<'a> {
             .collect();
         let free = posed.held(&mut graph, &articulated, &anyway);
         let free: Vec<Id> = (0..anyway.len()).map(|k| free.mobility()[k][k]).collect();
+        let symbols: Vec<Id> = (graph.reachable(&[&mobility[..], &velocities, &free].concat()))
+            .into_iter()
+            .filter(|id| graph.as_symbol(*id).is_some())
+            .collect();
         let n = constraints.len();
         let (mut least, mut fastest) = (f64::INFINITY, 0.0f64);
         for k in 0..STATES {

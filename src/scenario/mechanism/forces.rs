@@ -1,6 +1,6 @@
 //! `[mechanism.forces]`: what drives the joints, and acts on bodies.
 
-use crate::diagnostics::{Problem, did_you_mean, shorten};
+use crate::diagnostics::shorten;
 use crate::expr::Id;
 use crate::mechanism::algebra::{V3, add, cross, zero};
 use crate::mechanism::{Link, Load, Named, Posed};
@@ -90,16 +90,11 @@ impl<'a> Reader<'a> {
             (None, None) => {
                 let names = bodies.iter().map(|b| b.name.as_str());
                 let names = names.chain(acted.links.iter().map(|l| l.name.as_str()));
-                let help = did_you_mean(name, names);
                 let message = format!(
                     "unknown joint or body `{}` in [mechanism.forces]",
                     shorten(name)
                 );
-                self.report(Problem {
-                    help,
-                    ..Problem::at(span.clone(), message, "no such joint")
-                });
-                None
+                self.unknown((name, span.clone()), message, "no such joint", names)
             }
         }
     }
@@ -226,7 +221,8 @@ impl<'a> Reader<'a> {
         let mount = acted.links[link].mount;
         if let Some(value) = table.get("point") {
             let name = self.string(value, &format!("the point of {what}"))?;
-            let (on, at) = self.known_point(name, value.span(), acted.points)?;
+            let point = self.known_point(name, value.span(), acted.points)?;
+            let (on, at) = (point.mount, point.at);
             if on.body != mount.body {
                 let message = format!("{what}: point `{name}` is not on this body");
                 return self.refuse(value.span(), message, "a point of another body");

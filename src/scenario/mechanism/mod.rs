@@ -14,7 +14,7 @@ pub(super) use names::{Generated, RATE};
 
 use super::reader::{Reader, Section};
 use super::scope::{Entry, Kinds, Meaning, Role};
-use crate::diagnostics::{Problem, did_you_mean, shorten};
+use crate::diagnostics::{Problem, shorten};
 use crate::expr::{Id, Kind};
 use crate::mechanism::{Articulated, Constraint, Energy, Link, Load, Mechanism, Named, Posed};
 use crate::model::{Located, Span};
@@ -190,25 +190,18 @@ impl<'a> Reader<'a> {
         let mut graph = self.graph.clone();
         let inertias = Articulated::new(&mut graph, motion).inertias();
         let at: Vec<Vec<f64>> = (0..POSITIONS)
-            .map(|k| {
+            .filter_map(|k| {
                 let place =
                     |i: usize| 3.0 * (1.0 + (i * POSITIONS + k) as f64 * 0.7548776662).sin();
                 // Parameters too: dependent coordinates are expressions of them.
                 let mut values = self.values.clone();
                 values.extend(motion.q.iter().enumerate().map(|(i, q)| (*q, place(i))));
                 values.extend(motion.rates.iter().map(|v| (*v, 0.0)));
-                graph.eval(&inertias, &values)
+                // Where dependent coordinates are out of reach nothing is told.
+                let reached = graph.eval(&motion.q, &values).iter().all(|q| q.is_finite());
+                reached.then(|| graph.eval(&inertias, &values))
             })
             .collect();
-        // Where dependent coordinates are out of reach nothing is told.
-        let follows = |q: &Id| self.graph.as_symbol(*q).is_none();
-        let at: Vec<Vec<f64>> = match motion.q.iter().any(follows) {
-            true => at
-                .into_iter()
-                .filter(|values| values.iter().all(|v| v.is_finite()))
-                .collect(),
-            false => at,
-        };
         let size = at
             .iter()
             .flatten()
@@ -294,12 +287,8 @@ impl<'a> Reader<'a> {
                 let found = links.clone().position(|l| l.name == known);
                 if found.is_none() && known != "world" {
                     let message = format!("unknown body `{}`", shorten(known));
-                    let help = did_you_mean(known, links.map(|l| l.name.as_str()).chain(["world"]));
-                    self.report(Problem {
-                        help,
-                        ..Problem::at(body.span(), message, "no such body")
-                    });
-                    return None;
+                    let names = links.map(|l| l.name.as_str()).chain(["world"]);
+                    return self.unknown((known, body.span()), message, "no such body", names);
                 }
                 found
             }

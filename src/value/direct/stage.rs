@@ -20,9 +20,21 @@ pub(super) struct Rates {
     /// Second derivatives of a weighted sum of f, of `(x, u, weights)`: the upper triangle.
     /// None where all are 0.
     curvatures: Option<Evaluator>,
+    /// Which of the derivatives, and of a full matrix of the second ones, are 0 whatever the point.
+    zeros: Zeros,
     pub states: usize,
     pub controls: usize,
     simd: Simd,
+}
+
+/// Entries that are 0 whatever the point: half of a mechanism's, say, and most of a quadratic cost's.
+struct Zeros {
+    /// df/d(x, u), `[n][n + m]`.
+    first: Vec<bool>,
+    /// Second derivatives of L, `[n + m][n + m]`.
+    second: Vec<bool>,
+    /// Of the weighted sum of f, likewise.
+    square: Vec<bool>,
 }
 
 /// Steps from states under constant controls, all at once: of each the state and the cost after it.
@@ -135,6 +147,19 @@ impl Rates {
             let slope = graph.diff(weighted, *a);
             curvatures.extend(inputs[i..].iter().map(|b| graph.diff(slope, *b)));
         }
+        let width = inputs.len();
+        let is_zero: Vec<bool> = derivatives.iter().map(|d| graph.is_zero(*d)).collect();
+        let mut square = vec![true; width * width];
+        let places = (0..width).flat_map(|a| (a..width).map(move |b| (a, b)));
+        for ((a, b), c) in places.zip(&curvatures) {
+            square[a * width + b] = graph.is_zero(*c);
+            square[b * width + a] = square[a * width + b];
+        }
+        let zeros = Zeros {
+            first: is_zero[..n * width].to_vec(),
+            second: is_zero[(n + 1) * width..].to_vec(),
+            square,
+        };
         let lower =
             |inputs: &[_], roots: &[_]| Evaluator::new(&Program::lower(&graph, inputs, roots));
         Self {
@@ -142,6 +167,7 @@ impl Rates {
             derivatives: lower(&inputs, &derivatives),
             curvatures: (curvatures.iter().any(|c| !graph.is_zero(*c)))
                 .then(|| lower(&[inputs.as_slice(), &weights].concat(), &curvatures)),
+            zeros,
             states: n,
             controls: model.controls.len(),
             simd: Simd::detect(),
@@ -222,7 +248,7 @@ impl Rates {
                 if is_curved {
                     gather(&curvatures[stage], first, here, &mut block.curved);
                 }
-                block.add_by(self.simd, stage, n, h, is_curved);
+                block.add_by(self.simd, &self.zeros, stage, (n, h), is_curved);
             }
             block.mirror();
             scatter(&block.jacobian, first, here, &mut slopes.jacobian);
@@ -302,7 +328,7 @@ impl Block {
 
     /// Adds what a stage contributes.
     #[inline(always)]
-    fn add(&mut self, stage: usize, n: usize, h: f64, is_curved: bool) {
+    fn add(&mut self, zeros: &Zeros, stage: usize, (n, h): (usize, f64), is_curved: bool) {
         let (node, weight) = (NODES[stage], WEIGHTS[stage]);
         let width = self.gradient.len();
         let (first, rest) = self.here.split_at(n * width);
@@ -327,15 +353,15 @@ impl Block {
                 }
             }
             let by_stage = &self.by_stage;
-            chained(first, by_stage, n, &mut self.slope);
-            chained(second, by_stage, n, &mut self.product);
+            chained(first, &zeros.first, by_stage, n, &mut self.slope);
+            chained(second, &zeros.second, by_stage, n, &mut self.product);
             for (row, of_state) in by_stage.chunks(width).zip(gradient) {
                 add_lanes(&mut self.gradient, weight * h, of_state, row);
             }
             add_all(&mut self.gradient[n..], weight * h, &gradient[n..]);
             add_product(by_stage, &self.product, n, weight * h, &mut self.hessian);
             if is_curved {
-                chained(&self.square, by_stage, n, &mut self.product);
+                chained(&self.square, &zeros.square, by_stage, n, &mut self.product);
                 add_product(by_stage, &self.product, n, 1.0, &mut self.curvature);
             }
         }
@@ -343,15 +369,22 @@ impl Block {
     }
 
     /// The same with the widest vectors there are.
-    fn add_by(&mut self, simd: Simd, stage: usize, n: usize, h: f64, is_curved: bool) {
+    fn add_by(
+        &mut self,
+        simd: Simd,
+        zeros: &Zeros,
+        stage: usize,
+        (n, h): (usize, f64),
+        is_curved: bool,
+    ) {
         match simd {
             // SAFETY: the set was detected.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => unsafe { add_avx512(self, stage, n, h, is_curved) },
+            Simd::Avx512 => unsafe { add_avx512(self, zeros, stage, (n, h), is_curved) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => unsafe { add_avx2(self, stage, n, h, is_curved) },
-            _ => self.add(stage, n, h, is_curved),
+            Simd::Avx2 => unsafe { add_avx2(self, zeros, stage, (n, h), is_curved) },
+            _ => self.add(zeros, stage, (n, h), is_curved),
         }
     }
 
@@ -370,14 +403,14 @@ impl Block {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f")]
-fn add_avx512(block: &mut Block, stage: usize, n: usize, h: f64, is_curved: bool) {
-    block.add(stage, n, h, is_curved);
+fn add_avx512(block: &mut Block, zeros: &Zeros, stage: usize, at: (usize, f64), is_curved: bool) {
+    block.add(zeros, stage, at, is_curved);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn add_avx2(block: &mut Block, stage: usize, n: usize, h: f64, is_curved: bool) {
-    block.add(stage, n, h, is_curved);
+fn add_avx2(block: &mut Block, zeros: &Zeros, stage: usize, at: (usize, f64), is_curved: bool) {
+    block.add(zeros, stage, at, is_curved);
 }
 
 /// Numbers of steps, `[step][size]`, side by side, and back.
@@ -432,15 +465,18 @@ fn symmetric(upper: &[Lane], width: usize, square: &mut [Lane]) {
 }
 
 /// `c = a [b; 0 1]`: derivatives by state and control become those by the step's; `b` is of the
-/// states, `[n][width]`.
+/// states, `[n][width]`. `zeros`: entries of a that are 0 whatever the point.
 #[inline(always)]
-fn chained(a: &[Lane], b: &[Lane], n: usize, c: &mut [Lane]) {
+fn chained(a: &[Lane], zeros: &[bool], b: &[Lane], n: usize, c: &mut [Lane]) {
     let width = b.len() / n;
-    for (a, c) in a.chunks(width).zip(c.chunks_mut(width)) {
+    let rows = a.chunks(width).zip(zeros.chunks(width));
+    for ((a, zeros), c) in rows.zip(c.chunks_mut(width)) {
         c[..n].fill([0.0; LANES]);
         c[n..].copy_from_slice(&a[n..]);
-        for (a, b) in a.iter().zip(b.chunks(width)) {
-            add_lanes(c, 1.0, a, b);
+        for ((a, zero), b) in a.iter().zip(zeros).zip(b.chunks(width)) {
+            if !zero {
+                add_lanes(c, 1.0, a, b);
+            }
         }
     }
 }

@@ -18,6 +18,9 @@ use costate::session::summary::LinearSummary;
 use costate::session::{Equations, MechanismSummary, Progress, SessionError, at_equilibrium};
 use std::io::Write as _;
 
+/// Residuals of a mechanism's identities that are more than rounding of it.
+const FAR: f64 = 1e-6;
+
 pub fn check(args: &CheckArgs) -> Result<(), CliError> {
     let scene = load(&args.scene)?;
     let Scene {
@@ -45,6 +48,14 @@ pub fn check(args: &CheckArgs) -> Result<(), CliError> {
     }
     let equations = Equations::new(&scene);
     let mechanism = MechanismSummary::new(&scene);
+    let far = (mechanism.iter().flat_map(|m| &m.identities))
+        .filter(|identity| identity.residual.is_nan() || identity.residual > FAR);
+    for identity in far {
+        terminal.note(&format!(
+            "the mechanism's numbers have few digits: `{}` is off by {:.1e} of its terms somewhere in the region (masses or lengths far apart, or states near which the mechanism locks)",
+            identity.name, identity.residual
+        ));
+    }
     let mut out = Printed::new();
     if args.scene.print.json {
         writeln!(

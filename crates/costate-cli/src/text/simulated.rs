@@ -200,7 +200,11 @@ impl Shown<'_> {
 }
 
 fn number(x: f64) -> String {
-    format!("{:.9}", x + 0.0)
+    let text = format!("{x:.9}");
+    match text.as_str() {
+        "-0.000000000" => text[1..].to_owned(),
+        _ => text,
+    }
 }
 
 fn complex([re, im]: [f64; 2]) -> String {

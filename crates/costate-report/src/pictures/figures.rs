@@ -134,10 +134,8 @@ fn track(source: &Source<'_>) -> Result<Option<(StickFigure, Motion, Vec<Still>)
         let mut vertices: Vec<[f64; 2]> =
             figure.at(x).into_iter().map(|p| figure.seen(p)).collect();
         if let (Some(before), true) = (track.last(), *t == last) {
-            // An event that gives parts new names may count places from another point: the figure as
-            // a whole stays where it is.
-            let (old, new) = (middle(&before.vertices), middle(&vertices));
-            shift = [old[0] - new[0], old[1] - new[1]];
+            // An event that gives parts new names may count places from another point.
+            shift = moved(&before.vertices, &vertices, shift);
         }
         for v in &mut vertices {
             *v = [v[0] + shift[0], v[1] + shift[1]];
@@ -166,10 +164,28 @@ fn track(source: &Source<'_>) -> Result<Option<(StickFigure, Motion, Vec<Still>)
     Ok(Some((figure, motion, track)))
 }
 
-fn middle(vertices: &[[f64; 2]]) -> [f64; 2] {
-    let share = 1.0 / vertices.len().max(1) as f64;
-    let sum = |k: usize| vertices.iter().map(|v| v[k]).sum::<f64>() * share;
-    [sum(0), sum(1)]
+/// The shift by which most vertices after an event lie where some were before it; of these the one
+/// nearest to what it was.
+fn moved(before: &[[f64; 2]], after: &[[f64; 2]], last: [f64; 2]) -> [f64; 2] {
+    let size = before.iter().flatten().fold(0.0f64, |a, v| a.max(v.abs()));
+    let near = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) <= 1e-6 * size;
+    let hits = |shift: [f64; 2]| {
+        let there = |v: &&[f64; 2]| {
+            let at = [v[0] + shift[0], v[1] + shift[1]];
+            before.iter().any(|b| near(*b, at))
+        };
+        after.iter().filter(there).count()
+    };
+    let from = |a: [f64; 2]| (a[0] - last[0]).hypot(a[1] - last[1]);
+    let pairs = (before.iter()).flat_map(|b| after.iter().map(|a| [b[0] - a[0], b[1] - a[1]]));
+    let mut best = (hits(last), last);
+    for shift in pairs {
+        let hits = hits(shift);
+        if hits > best.0 || (hits == best.0 && from(shift) < from(best.1)) {
+            best = (hits, shift);
+        }
+    }
+    best.1
 }
 
 /// What the file has: a simulation, a closed loop, an optimal trajectory, in this order.
