@@ -130,7 +130,7 @@ fn words(line: &str) -> String {
 /// The commands of these chapters work, and print what the chapters show.
 #[test]
 fn chapters_show_what_their_commands_print() {
-    for chapter in ["tasks.md", "reading.md", "mechanisms.md"] {
+    for chapter in ["tasks.md", "reading.md", "mechanisms.md", "simulation.md"] {
         let folder = scratch(&format!("guide_{}", chapter.trim_end_matches(".md")));
         let printed = performed(chapter, &folder);
         let printed: Vec<String> = printed.lines().map(words).collect();
