@@ -108,7 +108,6 @@ impl Session<'_> {
     /// # use costate::{Scene, Session};
     /// use costate::session::SimulationOptions;
     /// let scene = Scene::parse(r#"
-    ///     # A ball that bounces.
     ///     states = { h = {}, v = {} }
     ///     controls = { u = {} }
     ///     dynamics = { h = "v", v = "-9.81 + u" }
