@@ -9,6 +9,8 @@ use nalgebra::{DMatrix, DVector};
 const STEPS: usize = 40;
 const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
+/// Multipliers nearer to 1 than this are those of a family of orbits.
+const NEUTRAL: f64 = 1e-6;
 /// Least size of a state that residuals are relative to.
 const LEAST_SIZE: f64 = 1e-3;
 
@@ -27,10 +29,22 @@ pub struct Cycle {
 }
 
 impl Cycle {
+    /// The size of the largest multiplier.
+    fn largest(&self) -> f64 {
+        let sizes = self.multipliers.iter().map(|[re, im]| re.hypot(*im));
+        sizes.fold(0.0, f64::max)
+    }
+
     /// Whether neighbours come back to it.
     #[must_use]
     pub fn is_stable(&self) -> bool {
-        self.multipliers.iter().all(|[re, im]| re.hypot(*im) < 1.0)
+        self.largest() < 1.0 - NEUTRAL
+    }
+
+    /// Whether some of them part from it.
+    #[must_use]
+    pub fn is_unstable(&self) -> bool {
+        self.largest() > 1.0 + NEUTRAL
     }
 }
 

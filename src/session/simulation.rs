@@ -5,6 +5,8 @@ use crate::closed_loop::{Initial, LQR, Law, LawError, Laws, MAP, Weights};
 use crate::expr::{Graph, Id};
 use crate::hamiltonian::clamped;
 use crate::hybrid::{Cycle, CycleError, End, Flights, Options, Simulator};
+use crate::mechanism::algebra::{V3, constant, dot, sub};
+use crate::mechanism::{Mount, Posed};
 use crate::model::{
     DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Horizon, Method, Model, Precision,
 };
@@ -12,7 +14,11 @@ use crate::numeric::random::uniform;
 use crate::program::Program;
 use crate::scene::Scene;
 use crate::sweep::Numerics;
+use glam::DVec3;
 use rustc_hash::FxHashMap;
+
+/// Gaps and velocities of contacts that are more than rounding, in the scene's units.
+const OFF: f64 = 1e-6;
 
 /// What is asked of a simulation in place of what the scene's `[simulation]` says.
 #[derive(Clone, Debug, Default)]
@@ -138,6 +144,7 @@ impl Session<'_> {
             control,
             simulated,
         } = self.prepare_simulation(options)?;
+        self.note_contacts(&initial);
         let flights = simulator.fly(&initial, &options)?;
         let u = (flights.samples.iter())
             .flat_map(|s| control.eval(&s.x))
@@ -173,6 +180,63 @@ impl Session<'_> {
                 Ok(found)
             })
             .collect()
+    }
+
+    /// Says so where flights begin in states that the mechanism's contacts do not allow: forces keep
+    /// only what is met at the beginning.
+    fn note_contacts(&self, initial: &[f64]) {
+        let model = &self.scene.model;
+        let Some(mechanism) = &model.mechanism else {
+            return;
+        };
+        let mut graph = model.graph.clone();
+        let posed = Posed::new(&mut graph, &mechanism.tree, &mechanism.q, &mechanism.rates);
+        let mut outputs = Vec::new();
+        for constraint in &mechanism.constraints {
+            let mut of = |(mount, at): (Mount, DVec3)| posed.point(&mut graph, &mount, at);
+            let here = of(constraint.at);
+            let there = constraint.against.map(&mut of);
+            let direction = constant(&mut graph, constraint.direction);
+            let mut along = |a: V3, b: Option<V3>| match b {
+                Some(b) => {
+                    let apart = sub(&mut graph, a, b);
+                    dot(&mut graph, direction, apart)
+                }
+                None => dot(&mut graph, direction, a),
+            };
+            // Where a point is held by the world is nobody's choice.
+            let gap = there
+                .as_ref()
+                .map(|there| along(here.position, Some(there.position)));
+            let speed = along(here.velocity, there.as_ref().map(|there| there.velocity));
+            outputs.extend([gap.unwrap_or(speed), speed]);
+        }
+        if outputs.is_empty() {
+            return;
+        }
+        let values = model.parameters.iter();
+        let replaced = values
+            .map(|p| (p.symbol, graph.constant(p.value)))
+            .collect();
+        let outputs = graph.substitute(&outputs, &replaced);
+        let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
+        let program = Program::lower(&graph, &x, &outputs);
+        let off = (initial.chunks(x.len()).enumerate()).find_map(|(k, x)| {
+            let all = program.eval(x);
+            let worst = all.iter().position(|v| v.abs() > OFF)?;
+            Some((k, worst, all[worst]))
+        });
+        if let Some((flight, worst, by)) = off {
+            let name = &mechanism.constraints[worst / 2].name;
+            let what = match worst % 2 == 0 && mechanism.constraints[worst / 2].against.is_some() {
+                true => "its points are apart by",
+                false => "its point moves at",
+            };
+            self.progress.note(&format!(
+                "flight {} begins where contact `{name}` does not hold: {what} {by:.3e}; contact forces keep that as it is",
+                flight + 1
+            ));
+        }
     }
 
     fn starts(&self, from: Option<&[f64]>) -> Result<Vec<f64>, SessionError> {

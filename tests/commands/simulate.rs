@@ -203,3 +203,52 @@ fn a_signal_leaves_nothing() {
     };
     assert!(left.is_empty(), "{left:?}");
 }
+
+#[test]
+fn a_contact_that_does_not_hold_is_said() {
+    let scene = r#"
+[mechanism]
+gravity = [0, -9.81]
+[mechanism.bodies]
+crank = { joint = "revolute", mass = 1, shape = { rod = 0.5 } }
+coupler = { joint = "revolute", parent = "crank", at = [0.5, 0], mass = 1, shape = { rod = 1.0 } }
+rocker = { joint = "revolute", at = [1, 0], mass = 1, shape = { rod = 0.5 } }
+[mechanism.points]
+end = { body = "coupler", at = [1, 0] }
+top = { body = "rocker", at = [0.5, 0] }
+[mechanism.contacts]
+end = { with = "top" }
+[mechanism.forces]
+crank = "u"
+[controls]
+u = {}
+[cost]
+running = "u^2"
+terminal = "0"
+final_time = 0.1
+[region]
+crank = [-3, 3]
+coupler = [-3, 3]
+rocker = [-3, 3]
+crank_rate = [-3, 3]
+coupler_rate = [-3, 3]
+rocker_rate = [-3, 3]
+"#;
+    let folder = written("simulate_open", scene);
+    let said = |at: &str| {
+        let done = costate(&folder, &["simulate", "ball.toml", "--at", at]);
+        assert!(done.status.success());
+        String::from_utf8_lossy(&done.stderr).into_owned()
+    };
+    // A parallelogram, upright; the same with a rocker that leans, or moves alone.
+    let upright = "crank=1.5707963267948966,coupler=-1.5707963267948966,rocker=1.5707963267948966";
+    assert!(!said(upright).contains("does not hold"));
+    let leaning = upright.replace("rocker=1.57", "rocker=1.27");
+    let text = said(&leaning);
+    assert!(
+        text.contains("contact `end` does not hold: its points are apart by"),
+        "{text}"
+    );
+    let text = said(&format!("{upright},rocker_rate=1"));
+    assert!(text.contains("its point moves at"), "{text}");
+}

@@ -113,10 +113,10 @@ impl Shown<'_> {
                 format!(
                     "{which}: period {:.12}, {} (it comes back to within {:.1e}, after {})\n  begins at {}\n  multipliers {}",
                     cycle.period,
-                    if cycle.is_stable() {
-                        "stable"
-                    } else {
-                        "unstable"
+                    match (cycle.is_stable(), cycle.is_unstable()) {
+                        (true, _) => "stable",
+                        (_, true) => "unstable",
+                        _ => "neither stable nor unstable",
                     },
                     cycle.residual,
                     counted(cycle.iterations, "iteration"),
