@@ -2,7 +2,10 @@
 //! multipliers of its linearization.
 
 use super::flight::{End, Jump, Options, Simulator};
-use crate::backend::BackendError;
+use crate::backend::{Backend, BackendError, By, Kernel, Spec};
+use crate::expr::{Graph, Id, Kind};
+use crate::model::{Event, Method, Precision};
+use crate::program::Program;
 use nalgebra::{DMatrix, DVector};
 
 /// Newton's steps, and how small the last one must be, relative to the state; or in tolerances.
@@ -57,7 +60,65 @@ pub enum CycleError {
     Diverged { residual: f64 },
 }
 
-impl Simulator {
+/// Linearizations: the variation of a flight, and derivatives of conditions and maps.
+struct Linear {
+    /// `(x, T, v)`: v is a variation of x, at a given time.
+    varied: Box<dyn Kernel>,
+    rates: Program,
+    /// Of a state: the gradient of each event's `ahead`.
+    gradients: Program,
+    /// Of a state: the Jacobian of each event's map, row by row.
+    jacobians: Vec<Option<Program>>,
+}
+
+/// A system with events whose orbits are looked for.
+pub struct Orbits {
+    simulator: Simulator,
+    linear: Linear,
+}
+
+crate::opaque!(Orbits);
+
+impl Orbits {
+    /// As [`Simulator::new`], which the simulator is made by.
+    ///
+    /// # Errors
+    /// What the backend refuses to compile.
+    pub fn new(
+        graph: &mut Graph,
+        simulator: Simulator,
+        (x, rates): (&[Id], &[Id]),
+        (events, guards): (&[Event], &[Event]),
+        (backend, method, precision): (&dyn Backend, Method, Precision),
+    ) -> Result<Self, BackendError> {
+        let all: Vec<&Event> = events.iter().chain(guards).collect();
+        let duration = graph.symbol("phase duration", Kind::Parameter);
+        let linear = Linearized::new(graph, x, rates, &all, duration);
+        let switches = graph.kinks(rates);
+        let varied = Spec {
+            rate: Program::lower(graph, &linear.inputs, &linear.varied),
+            guards: None,
+            kinks: (!switches.is_empty())
+                .then(|| Program::lower(graph, &[x, &[duration]].concat(), &switches)),
+            method,
+            precision,
+            by: By::Time,
+            store: false,
+        };
+        let of_state = |roots: &[Id]| Program::lower(graph, x, roots);
+        Ok(Self {
+            simulator,
+            linear: Linear {
+                varied: backend.compile(&varied)?,
+                rates: of_state(rates),
+                gradients: of_state(&linear.gradients),
+                jacobians: (linear.jacobians.iter())
+                    .map(|all| all.as_ref().map(|all| of_state(all)))
+                    .collect(),
+            },
+        })
+    }
+
     /// The orbit near a state that comes back to itself after `events` events.
     ///
     /// # Errors
@@ -79,7 +140,7 @@ impl Simulator {
         let mut residual = f64::INFINITY;
         for iterations in 1..=STEPS {
             let size = x.amax().max(LEAST_SIZE);
-            let flown = self.fly(x.as_slice(), &options)?;
+            let flown = self.simulator.fly(x.as_slice(), &options)?;
             if flown.end[0] != End::Events {
                 return Ok(Err(CycleError::NoReturn {
                     start: x.as_slice().to_vec(),
@@ -138,7 +199,7 @@ impl Simulator {
             }
         }
         let width = 2 * n + 1;
-        let run = self.run(options, vec![1.0], width);
+        let run = self.simulator.run(options, vec![1.0], width);
         let flown = self.linear.varied.integrate(&run, &seeds)?;
         let mut whole = DMatrix::identity(n, n);
         for (k, jump) in jumps.iter().enumerate() {
@@ -154,5 +215,48 @@ impl Simulator {
             }
         }
         Ok(whole)
+    }
+}
+
+/// Expressions of [`Linear`].
+struct Linearized {
+    /// `(x, T, v)`.
+    inputs: Vec<Id>,
+    varied: Vec<Id>,
+    gradients: Vec<Id>,
+    jacobians: Vec<Option<Vec<Id>>>,
+}
+
+impl Linearized {
+    fn new(graph: &mut Graph, x: &[Id], rates: &[Id], all: &[&Event], duration: Id) -> Self {
+        let column: Vec<Id> = (0..x.len())
+            .map(|i| graph.symbol(&format!("variation {i}"), Kind::State))
+            .collect();
+        let along = x.iter().copied().zip(column.iter().copied()).collect();
+        let tangents = graph.tangents(rates, &along);
+        let zero = graph.constant(0.0);
+        let mut varied: Vec<Id> = rates.iter().map(|f| graph.mul(duration, *f)).collect();
+        varied.push(zero);
+        varied.extend(
+            tangents
+                .iter()
+                .map(|t| graph.mul(duration, *t))
+                .collect::<Vec<_>>(),
+        );
+        let gradients = (all.iter())
+            .flat_map(|e| graph.gradient(e.ahead, x))
+            .collect();
+        let jacobians = (all.iter())
+            .map(|e| {
+                let rows = e.map.as_ref()?.iter();
+                Some(rows.flat_map(|row| graph.gradient(*row, x)).collect())
+            })
+            .collect();
+        Self {
+            inputs: [x, &[duration], &column].concat(),
+            varied,
+            gradients,
+            jacobians,
+        }
     }
 }

@@ -6,7 +6,10 @@
 //! flying from the beginning of the phase: the state at an event is the end of a step, not of an
 //! interpolation.
 
-use super::between::{Point, crossing, points, suspect};
+mod legs;
+
+use legs::Met;
+
 use super::watch::{Grain, Here, Side, Watch};
 use crate::backend::{
     Backend, BackendError, By, Deadline, Guards, Kernel, Run, Spec, Status, Trajectories,
@@ -16,16 +19,7 @@ use crate::expr::{Graph, Id, Kind};
 use crate::model::{Event, Method, Precision};
 use crate::program::Program;
 use rustc_hash::FxHashMap;
-use std::collections::BTreeMap;
 
-/// Newton's corrections of an event's time; it is located when one is this small, relative to the
-/// phase.
-const CORRECTIONS: usize = 20;
-const LOCATED: f64 = 1e-13;
-/// Where rounding, or the tolerance of a step, keeps corrections from falling that far, the last must
-/// be below so many of these.
-const ROUNDINGS: f64 = 64.0;
-const TOLERANCES: f64 = 10.0;
 /// Phases shorter than this share of the time so far are counted; so many in a row are an
 /// accumulation of events (Zeno). Likewise of legs within a phase.
 const SHORT: f64 = 1e-9;
@@ -33,9 +27,6 @@ const MOST_SHORT: usize = 20;
 /// A phase shorter than this share of the time so far before one that is next to nothing shows an
 /// accumulation.
 const FADING: f64 = 1e-4;
-/// Times that a suspected event between steps is looked for, and how many in a leg.
-const LOOKS: usize = 4;
-const SUSPECTS: usize = 16;
 /// Absolute tolerance of what the step control is to leave alone.
 const UNCONTROLLED: f64 = 1e30;
 
@@ -174,30 +165,17 @@ pub struct Simulator {
     /// The conditions are there for the step control.
     guarded: Box<dyn Kernel>,
     /// Over a given time: `(x, T)`.
-    pub(super) plain: Box<dyn Kernel>,
+    plain: Box<dyn Kernel>,
     /// The same with stored points.
     stored: Box<dyn Kernel>,
     /// Of a state: `ahead` of each event, the first and second rates of these, and where events
     /// count.
     conditions: Program,
-    /// For what a neighbour of a flight does.
-    pub(super) linear: Linear,
     /// Of a state: the state after each event.
     maps: Vec<Option<Program>>,
 }
 
 crate::opaque!(Simulator);
-
-/// Linearizations: the variation of a flight, and derivatives of conditions and maps.
-pub(super) struct Linear {
-    /// `(x, T, v)`: v is a variation of x, at a given time.
-    pub varied: Box<dyn Kernel>,
-    pub rates: Program,
-    /// Of a state: the gradient of each event's `ahead`.
-    pub gradients: Program,
-    /// Of a state: the Jacobian of each event's map, row by row.
-    pub jacobians: Vec<Option<Program>>,
-}
 
 /// A flight under way.
 struct Flight {
@@ -210,6 +188,8 @@ struct Flight {
     /// Where the flight is, and for how long the phase has lasted.
     x: Vec<f64>,
     flown: f64,
+    /// The same where its latest leg began.
+    leg: f64,
     watched: Vec<Watch>,
     /// The event that the phase began with, and how long the one before lasted.
     after: Option<usize>,
@@ -265,7 +245,6 @@ impl Simulator {
             .into_iter()
             .chain(only)
             .collect();
-        let linear = Linearized::new(graph, x, rates, &all, duration);
 
         let spec = |inputs: &[Id], more: &[Id], guarded: bool, store: bool| Spec {
             rate: {
@@ -286,10 +265,6 @@ impl Simulator {
             by: By::Time,
             store,
         };
-        let varied = Spec {
-            rate: Program::lower(graph, &linear.inputs, &linear.varied),
-            ..spec(&plain_inputs, &[], false, false)
-        };
         let of_state = |roots: &[Id]| Program::lower(graph, x, roots);
         let conditions = of_state(&conditions);
         Ok(Self {
@@ -302,14 +277,6 @@ impl Simulator {
             plain: backend.compile(&spec(&plain_inputs, &[], false, false))?,
             stored: backend.compile(&spec(&plain_inputs, &[], false, true))?,
             conditions,
-            linear: Linear {
-                varied: backend.compile(&varied)?,
-                rates: of_state(rates),
-                gradients: of_state(&linear.gradients),
-                jacobians: (linear.jacobians.iter())
-                    .map(|all| all.as_ref().map(|all| of_state(all)))
-                    .collect(),
-            },
             maps: (all.iter())
                 .map(|e| e.map.as_ref().map(|map| of_state(map)))
                 .collect(),
@@ -352,6 +319,7 @@ impl Simulator {
                 t: 0.0,
                 x: x.to_vec(),
                 flown: 0.0,
+                leg: 0.0,
                 watched: Vec::new(),
                 after: None,
                 before: f64::INFINITY,
@@ -478,347 +446,6 @@ impl Simulator {
         all[3 * self.at_once.len() + event] >= 0.0
     }
 
-    /// One leg of each flight.
-    fn leg<'f>(
-        &mut self,
-        flying: Vec<&'f mut Flight>,
-        options: &Options,
-        flights: &mut Flights,
-    ) -> Result<Vec<(&'f mut Flight, Met)>, BackendError> {
-        let n = self.states;
-        let left: Vec<f64> = (flying.iter())
-            .map(|f| options.time - f.t - f.flown)
-            .collect();
-        let (mut seeds, mut full) = (Vec::new(), Vec::new());
-        for (flight, left) in flying.iter().zip(&left) {
-            seeds.extend_from_slice(&flight.x);
-            seeds.push(*left);
-            seeds.extend(flight.watched.iter().flat_map(|w| [w.sign(), w.offset]));
-        }
-        if flying.is_empty() {
-            return Ok(Vec::new());
-        }
-        let dim = n + 1 + 3 * self.at_once.len();
-        for row in seeds.chunks(n + 1 + 2 * self.at_once.len()) {
-            let conditions = std::iter::repeat_n(0.0, self.at_once.len());
-            full.extend(row.iter().copied().chain(conditions));
-        }
-        let mut run = self.run(options, vec![1.0], dim);
-        let share = run.rtol;
-        for (atol, size) in run.atol[n + 1 + 2 * self.at_once.len()..]
-            .iter_mut()
-            .zip(&self.sizes)
-        {
-            *atol = share * size;
-        }
-        let flown = self.guarded.integrate(&run, &full)?;
-        flights.count(&flown);
-        let grain = self.grain(options);
-        let durations: Vec<f64> = (flown.status.iter().zip(&flown.end_time).zip(&left))
-            .map(|((status, t), left)| match status {
-                Status::Reached => *left,
-                _ => left * t,
-            })
-            .collect();
-        let early = self.between(&flying, (&durations, &flown.steps), options, flights)?;
-        let mut legs = Vec::new();
-        let mut at_events = Vec::new();
-        for (k, (flight, early)) in flying.into_iter().zip(early).enumerate() {
-            let (duration, status) = match &early {
-                Some(early) => (early.t, Status::Guard),
-                None => (durations[k], flown.status[k]),
-            };
-            flight.flown += duration;
-            flight.x = match &early {
-                Some(early) => early.x.clone(),
-                None => flown.end[k * dim..][..n].to_vec(),
-            };
-            let met = match status {
-                Status::Reached => match self.passed(flight, duration, grain) {
-                    Some(event) => Met::Event(event),
-                    None => {
-                        flight.end = Some(End::Time);
-                        Met::End
-                    }
-                },
-                Status::Guard => {
-                    flight.short_legs = match duration <= SHORT * (flight.t + flight.flown) {
-                        true => flight.short_legs + 1,
-                        false => 0,
-                    };
-                    let all = self.conditions.eval(&flight.x);
-                    let event = match &early {
-                        Some(early) => early.event,
-                        None => self.nearest(&all, &flight.watched),
-                    };
-                    let armed = flight.watched[event].armed;
-                    let lost = self.is_unknown(&all);
-                    if lost || flight.short_legs > MOST_SHORT {
-                        flight.end = Some(match lost {
-                            true => End::NoCondition,
-                            false => End::NotLocated,
-                        });
-                        Met::End
-                    } else if armed && self.counts(&all, event) {
-                        Met::Event(event)
-                    } else {
-                        let here = self.condition(&all, event);
-                        flight.watched[event] = Watch::on(!armed, here, grain);
-                        Met::Nothing
-                    }
-                }
-                other => {
-                    flight.end = Some(End::Failed(other));
-                    Met::End
-                }
-            };
-            match met {
-                Met::Event(event) => at_events.push((flight, event)),
-                met => legs.push((flight, met)),
-            }
-        }
-        self.locate(&mut at_events, options, flights)?;
-        legs.extend(at_events.into_iter().map(|(flight, event)| {
-            let met = match flight.end {
-                Some(_) => Met::End,
-                None => Met::Event(event),
-            };
-            (flight, met)
-        }));
-        Ok(legs)
-    }
-
-    /// An event that has come true by the end, within what its surface was moved by.
-    fn passed(&self, flight: &Flight, duration: f64, grain: Grain) -> Option<usize> {
-        let all = self.conditions.eval(&flight.x);
-        let met = |event: &usize| {
-            let (watch, here) = (flight.watched[*event], self.condition(&all, *event));
-            let moved = watch.armed && watch.offset > 0.0;
-            moved && here.ahead < 0.0 && here.slope < 0.0 && self.counts(&all, *event)
-        };
-        (0..flight.watched.len())
-            .find(met)
-            .filter(|_| duration > grain.time)
-    }
-
-    /// What happened between the ends of the steps of legs of these durations, if anything.
-    fn between(
-        &mut self,
-        flying: &[&mut Flight],
-        (durations, steps): (&[f64], &[u32]),
-        options: &Options,
-        flights: &mut Flights,
-    ) -> Result<Vec<Option<Early>>, BackendError> {
-        let n = self.states;
-        let mut early: Vec<Option<Early>> = flying.iter().map(|_| None).collect();
-        if self.at_once.is_empty() {
-            return Ok(early);
-        }
-        // How closely one is looked at does not depend on the others.
-        let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        for (k, steps) in steps.iter().enumerate() {
-            groups.entry(points(*steps)).or_default().push(k);
-        }
-        let mut suspects = Vec::new();
-        for (count, members) in groups {
-            let levels: Vec<f64> = (1..=count).map(|k| k as f64 / count as f64).collect();
-            let run = self.run(options, levels, n + 1);
-            for part in members.chunks(batch_limit(n + 1, count)) {
-                let seeds: Vec<f64> = (part.iter())
-                    .flat_map(|k| flying[*k].x.iter().copied().chain([durations[*k]]))
-                    .collect();
-                let flown = self.stored.integrate(&run, &seeds)?;
-                for (row, &k) in part.iter().enumerate() {
-                    let leg = (flying[k].x.as_slice(), durations[k]);
-                    self.suspects(&flown, (row, k), leg, &flying[k].watched, &mut suspects);
-                }
-            }
-        }
-
-        // What is suspected is flown to, until it is sure.
-        let run = self.run(options, vec![1.0], n + 1);
-        for _ in 0..LOOKS {
-            if suspects.is_empty() {
-                break;
-            }
-            let seeds: Vec<f64> = (suspects.iter())
-                .flat_map(|(k, _, _, _, at)| flying[*k].x.iter().copied().chain([*at]))
-                .collect();
-            let flown = self.plain.integrate(&run, &seeds)?;
-            flights.count(&flown);
-            let mut still = Vec::new();
-            for (j, (k, event, a, b, at)) in suspects.into_iter().enumerate() {
-                if flown.status[j] != Status::Reached {
-                    continue;
-                }
-                let all = self.conditions.eval(&flown.end[j * (n + 1)..][..n]);
-                let watch = flying[k].watched[event];
-                let here = self.left(&all, event, watch, at);
-                if here.left <= 0.0 {
-                    let t = crossing(a, here);
-                    if early[k].as_ref().is_none_or(|known| t < known.t) {
-                        let x = Vec::new();
-                        early[k] = Some(Early { event, t, x });
-                    }
-                    continue;
-                }
-                let halves = [(a, here), (here, b)];
-                let next = halves.into_iter().filter(|(a, b)| a.t < b.t);
-                still.extend(next.filter_map(|(a, b)| {
-                    let at = suspect(a, b).filter(|at| *at > a.t && *at < b.t)?;
-                    Some((k, event, a, b, at))
-                }));
-            }
-            suspects = still;
-        }
-        self.states_there(flying, durations, &mut early, &run)?;
-        Ok(early)
-    }
-
-    /// What may have happened between the stored points of a leg.
-    fn suspects(
-        &self,
-        flown: &Trajectories,
-        (row, k): (usize, usize),
-        (begin, duration): (&[f64], f64),
-        watched: &[Watch],
-        found: &mut Vec<Suspect>,
-    ) {
-        let n = self.states;
-        let (mut before, mut t, mut own) = (self.conditions.eval(begin), 0.0, 0);
-        for level in 0..flown.levels {
-            let sample = flown.sample(row, level);
-            if !sample[0].is_finite() || own >= SUSPECTS {
-                return;
-            }
-            let here = self.conditions.eval(&sample[1..=n]);
-            let now = sample[0] * duration;
-            for (event, watch) in watched.iter().enumerate() {
-                let a = self.left(&before, event, *watch, t);
-                let b = self.left(&here, event, *watch, now);
-                if let Some(at) = suspect(a, b).filter(|_| a.left > 0.0) {
-                    found.push((k, event, a, b, at));
-                    own += 1;
-                }
-            }
-            (before, t) = (here, now);
-        }
-    }
-
-    /// States where something happened early; what a guard has seen before is not early.
-    fn states_there(
-        &mut self,
-        flying: &[&mut Flight],
-        durations: &[f64],
-        early: &mut [Option<Early>],
-        run: &Run,
-    ) -> Result<(), BackendError> {
-        let n = self.states;
-        for (early, duration) in early.iter_mut().zip(durations) {
-            if early.as_ref().is_some_and(|e| e.t >= *duration) {
-                *early = None;
-            }
-        }
-        let found: Vec<usize> = (0..early.len()).filter(|k| early[*k].is_some()).collect();
-        let seeds: Vec<f64> = (found.iter())
-            .filter_map(|k| Some((k, early[*k].as_ref()?)))
-            .flat_map(|(k, e)| flying[*k].x.iter().copied().chain([e.t]))
-            .collect();
-        if found.is_empty() {
-            return Ok(());
-        }
-        let flown = self.plain.integrate(run, &seeds)?;
-        for (j, k) in found.into_iter().enumerate() {
-            match (&mut early[k], flown.status[j]) {
-                (Some(early), Status::Reached) => {
-                    early.x = flown.end[j * (n + 1)..][..n].to_vec();
-                }
-                (early, _) => *early = None,
-            }
-        }
-        Ok(())
-    }
-
-    /// What is left of an event at a time, as it is watched.
-    fn left(&self, all: &[f64], event: usize, watch: Watch, t: f64) -> Point {
-        let here = self.condition(all, event);
-        Point {
-            t,
-            left: watch.left(here.ahead),
-            rate: watch.sign() * here.slope,
-        }
-    }
-
-    /// The event whose surface, as it is watched, is the nearest in time.
-    fn nearest(&self, all: &[f64], watched: &[Watch]) -> usize {
-        let time = |e: usize| {
-            let here = self.condition(all, e);
-            (watched[e].left(here.ahead) / here.slope).abs()
-        };
-        (0..watched.len())
-            .min_by(|a, b| time(*a).total_cmp(&time(*b)))
-            .unwrap_or(0)
-    }
-
-    /// Newton's method for the duration of phases that end at events.
-    fn locate(
-        &mut self,
-        at: &mut [(&mut Flight, usize)],
-        options: &Options,
-        flights: &mut Flights,
-    ) -> Result<(), BackendError> {
-        let n = self.states;
-        let run = self.run(options, vec![1.0], n + 1);
-        let enough = (ROUNDINGS * self.precision.epsilon()).max(TOLERANCES * options.rtol);
-        let mut open: Vec<usize> = (0..at.len()).collect();
-        for correction in 1..=CORRECTIONS {
-            if open.is_empty() {
-                break;
-            }
-            let seeds: Vec<f64> = (open.iter())
-                .flat_map(|k| {
-                    let flight = &at[*k].0;
-                    flight.begin.iter().copied().chain([flight.flown])
-                })
-                .collect();
-            let flown = self.plain.integrate(&run, &seeds)?;
-            flights.count(&flown);
-            let mut still = Vec::new();
-            for (j, k) in open.into_iter().enumerate() {
-                let (flight, event) = &mut at[k];
-                if flown.status[j] != Status::Reached {
-                    flight.end = Some(End::Failed(flown.status[j]));
-                    continue;
-                }
-                flight.x = flown.end[j * (n + 1)..][..n].to_vec();
-                let all = self.conditions.eval(&flight.x);
-                let here = self.condition(&all, *event);
-                let by = -here.ahead / here.slope;
-                let limit = options.time - flight.t;
-                if by.abs() <= LOCATED * flight.flown || flight.flown == 0.0 {
-                    continue;
-                }
-                let last = correction == CORRECTIONS;
-                if last && by.abs() <= enough * flight.flown {
-                    continue;
-                }
-                let moved = flight.flown + by;
-                if last || !by.is_finite() || moved < 0.0 || moved > 1.5 * limit {
-                    // What rounding makes of an event right after another one.
-                    flight.end = Some(match flight.flown <= SHORT * flight.t {
-                        true => End::Zeno,
-                        false => End::NotLocated,
-                    });
-                    continue;
-                }
-                flight.flown = moved;
-                still.push(k);
-            }
-            open = still;
-        }
-        Ok(())
-    }
-
     /// An event at the end of a phase.
     fn jump(&self, flight: &mut Flight, event: usize, options: &Options, flights: &mut Flights) {
         flight.t += flight.flown;
@@ -934,60 +561,6 @@ impl Simulator {
     }
 }
 
-/// A leg, an event, the points between which it may be met, and when.
-type Suspect = (usize, usize, Point, Point, f64);
-
-/// Something that happened between the ends of steps.
-struct Early {
-    event: usize,
-    /// Since the beginning of the leg, about; and the state there.
-    t: f64,
-    x: Vec<f64>,
-}
-
-/// Expressions of [`Linear`].
-struct Linearized {
-    /// `(x, T, v)`.
-    inputs: Vec<Id>,
-    varied: Vec<Id>,
-    gradients: Vec<Id>,
-    jacobians: Vec<Option<Vec<Id>>>,
-}
-
-impl Linearized {
-    fn new(graph: &mut Graph, x: &[Id], rates: &[Id], all: &[&Event], duration: Id) -> Self {
-        let column: Vec<Id> = (0..x.len())
-            .map(|i| graph.symbol(&format!("variation {i}"), Kind::State))
-            .collect();
-        let along = x.iter().copied().zip(column.iter().copied()).collect();
-        let tangents = graph.tangents(rates, &along);
-        let zero = graph.constant(0.0);
-        let mut varied: Vec<Id> = rates.iter().map(|f| graph.mul(duration, *f)).collect();
-        varied.push(zero);
-        varied.extend(
-            tangents
-                .iter()
-                .map(|t| graph.mul(duration, *t))
-                .collect::<Vec<_>>(),
-        );
-        let gradients = (all.iter())
-            .flat_map(|e| graph.gradient(e.ahead, x))
-            .collect();
-        let jacobians = (all.iter())
-            .map(|e| {
-                let rows = e.map.as_ref()?.iter();
-                Some(rows.flat_map(|row| graph.gradient(*row, x)).collect())
-            })
-            .collect();
-        Self {
-            inputs: [x, &[duration], &column].concat(),
-            varied,
-            gradients,
-            jacobians,
-        }
-    }
-}
-
 /// The largest value of each condition at some states; 1 where there is none.
 fn sizes(conditions: &Program, states: &[f64], n: usize, count: usize) -> Vec<f64> {
     let mut sizes = vec![0.0f64; count];
@@ -1004,14 +577,6 @@ fn sizes(conditions: &Program, states: &[f64], n: usize, count: usize) -> Vec<f6
         .filter(|s| **s == 0.0)
         .for_each(|s| *s = 1.0);
     sizes
-}
-
-/// What a leg came to.
-enum Met {
-    /// A surface that was passed.
-    Nothing,
-    Event(usize),
-    End,
 }
 
 impl Flights {

@@ -7,5 +7,5 @@ mod cycle;
 mod flight;
 mod watch;
 
-pub use cycle::{Cycle, CycleError};
+pub use cycle::{Cycle, CycleError, Orbits};
 pub use flight::{End, Flights, Jump, Options, Sample, Simulator};

@@ -76,6 +76,24 @@ impl Posed {
         load.bodies[i] = (add(g, t, moment), add(g, f, force));
     }
 
+    fn row(&self, g: &mut Graph, c: &Constraint) -> Row {
+        Row {
+            at: self.point(g, &c.at.0, c.at.1),
+            against: c.against.map(|(mount, at)| self.point(g, &mount, at)),
+            direction: constant(g, c.direction),
+        }
+    }
+
+    /// What a constraint keeps as it is, along its direction: velocity, and the way from the point
+    /// of another body that it holds to.
+    pub fn kept(&self, g: &mut Graph, constraint: &Constraint) -> (Id, Option<Id>) {
+        let row = self.row(g, constraint);
+        let velocity = row.along(g, |_, point| point.velocity);
+        let against = row.against.is_some();
+        let gap = against.then(|| row.along(g, |_, point| point.position));
+        (velocity, gap)
+    }
+
     /// Eliminates constraints; `articulated` is of this position.
     pub fn held(
         &self,
@@ -83,13 +101,7 @@ impl Posed {
         articulated: &Articulated<'_>,
         constraints: &[Constraint],
     ) -> Held<'_> {
-        let rows: Vec<Row> = (constraints.iter())
-            .map(|c| Row {
-                at: self.point(g, &c.at.0, c.at.1),
-                against: c.against.map(|(mount, at)| self.point(g, &mount, at)),
-                direction: constant(g, c.direction),
-            })
-            .collect();
+        let rows: Vec<Row> = constraints.iter().map(|c| self.row(g, c)).collect();
         let count = self.motion.frames.len();
         let responses: Vec<Accelerations> = (rows.iter())
             .map(|row| {

@@ -1,5 +1,6 @@
 //! A mechanism as lines between joints and points, to be drawn.
 
+use super::mechanism::lower;
 use crate::mechanism::Posed;
 use crate::program::Program;
 use crate::scene::Scene;
@@ -74,15 +75,10 @@ impl StickFigure {
             }
         }
         lines.retain(|[a, b]| a != b);
-        let values = model.parameters.iter();
-        let replaced = values
-            .map(|p| (p.symbol, graph.constant(p.value)))
-            .collect();
-        let outputs = graph.substitute(&outputs, &replaced);
         let x: Vec<_> = model.states.iter().map(|s| s.variable.symbol).collect();
         Some(Self {
             vertices: outputs.len() / 3,
-            places: Program::lower(&graph, &x, &outputs),
+            places: lower(&mut graph, model, &x, &outputs),
             lines,
             ends,
             joints,

@@ -119,7 +119,7 @@ fn inputs(model: &Model) -> Vec<Id> {
 }
 
 /// A program of expressions with the parameters' values in them.
-fn lower(graph: &mut Graph, model: &Model, inputs: &[Id], exprs: &[Id]) -> Program {
+pub(super) fn lower(graph: &mut Graph, model: &Model, inputs: &[Id], exprs: &[Id]) -> Program {
     let values: FxHashMap<Id, Id> = (model.parameter_values().into_iter())
         .map(|(symbol, value)| (symbol, graph.constant(value)))
         .collect();

@@ -1,12 +1,12 @@
 //! Simulation forward in time, with the events of a scene.
 
+use super::mechanism::lower;
 use super::{Session, SessionError};
 use crate::closed_loop::{Initial, LQR, Law, LawError, Laws, MAP, Weights};
 use crate::expr::{Graph, Id};
 use crate::hamiltonian::clamped;
-use crate::hybrid::{Cycle, CycleError, End, Flights, Options, Simulator};
-use crate::mechanism::algebra::{V3, constant, dot, sub};
-use crate::mechanism::{Mount, Posed};
+use crate::hybrid::{Cycle, CycleError, End, Flights, Options, Orbits, Simulator};
+use crate::mechanism::Posed;
 use crate::model::{
     DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Horizon, Method, Model, Precision,
 };
@@ -14,7 +14,6 @@ use crate::numeric::random::uniform;
 use crate::program::Program;
 use crate::scene::Scene;
 use crate::sweep::Numerics;
-use glam::DVec3;
 use rustc_hash::FxHashMap;
 
 /// Gaps and velocities of contacts that are more than rounding, in the scene's units.
@@ -97,8 +96,18 @@ pub fn end_name(names: &[String], end: End) -> &str {
     }
 }
 
+/// What a simulator is made of.
+struct Parts {
+    x: Vec<Id>,
+    rates: Vec<Id>,
+    events: Vec<Event>,
+    guards: Vec<Event>,
+}
+
 /// A scene under a law, ready to be simulated.
 struct Prepared {
+    graph: Graph,
+    parts: Parts,
     simulator: Simulator,
     options: Options,
     /// Controls as functions of the state.
@@ -143,6 +152,7 @@ impl Session<'_> {
             options,
             control,
             simulated,
+            ..
         } = self.prepare_simulation(options)?;
         self.note_contacts(&initial);
         let flights = simulator.fly(&initial, &options)?;
@@ -174,11 +184,20 @@ impl Session<'_> {
             ..options.clone()
         })?;
         let n = self.scene.model.states.len();
+        let parts = &prepared.parts;
+        let mut orbits = Orbits::new(
+            &mut prepared.graph,
+            prepared.simulator,
+            (&parts.x, &parts.rates),
+            (&parts.events, &parts.guards),
+            (
+                self.backend.as_ref(),
+                prepared.simulated.method,
+                prepared.simulated.precision,
+            ),
+        )?;
         (near.chunks(n))
-            .map(|guess| {
-                let found = prepared.simulator.cycle(guess, events, &prepared.options)?;
-                Ok(found)
-            })
+            .map(|guess| Ok(orbits.cycle(guess, events, &prepared.options)?))
             .collect()
     }
 
@@ -193,34 +212,15 @@ impl Session<'_> {
         let posed = Posed::new(&mut graph, &mechanism.tree, &mechanism.q, &mechanism.rates);
         let mut outputs = Vec::new();
         for constraint in &mechanism.constraints {
-            let mut of = |(mount, at): (Mount, DVec3)| posed.point(&mut graph, &mount, at);
-            let here = of(constraint.at);
-            let there = constraint.against.map(&mut of);
-            let direction = constant(&mut graph, constraint.direction);
-            let mut along = |a: V3, b: Option<V3>| match b {
-                Some(b) => {
-                    let apart = sub(&mut graph, a, b);
-                    dot(&mut graph, direction, apart)
-                }
-                None => dot(&mut graph, direction, a),
-            };
+            let (speed, gap) = posed.kept(&mut graph, constraint);
             // Where a point is held by the world is nobody's choice.
-            let gap = there
-                .as_ref()
-                .map(|there| along(here.position, Some(there.position)));
-            let speed = along(here.velocity, there.as_ref().map(|there| there.velocity));
             outputs.extend([gap.unwrap_or(speed), speed]);
         }
         if outputs.is_empty() {
             return;
         }
-        let values = model.parameters.iter();
-        let replaced = values
-            .map(|p| (p.symbol, graph.constant(p.value)))
-            .collect();
-        let outputs = graph.substitute(&outputs, &replaced);
         let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
-        let program = Program::lower(&graph, &x, &outputs);
+        let program = lower(&mut graph, model, &x, &outputs);
         let off = (initial.chunks(x.len()).enumerate()).find_map(|(k, x)| {
             let all = program.eval(x);
             let worst = all.iter().position(|v| v.abs() > OFF)?;
@@ -308,10 +308,12 @@ impl Session<'_> {
         let named = |kind: &str, all: &[Event]| -> Vec<String> {
             all.iter().map(|e| format!("{kind}_{}", e.name)).collect()
         };
+        let control = Program::lower(&system.graph, &x, &controls);
         Ok(Prepared {
+            graph: system.graph,
             simulator,
             options,
-            control: Program::lower(&system.graph, &x, &controls),
+            control,
             simulated: Simulated {
                 initial: Vec::new(),
                 flights: Flights::default(),
@@ -323,6 +325,12 @@ impl Session<'_> {
                 precision: numerics.precision,
                 rtol: numerics.rtol,
                 time,
+            },
+            parts: Parts {
+                x,
+                rates,
+                events,
+                guards,
             },
         })
     }

@@ -5,7 +5,7 @@ use super::panels::{Curve, Panel, Panels};
 use crate::canvas::{Dash, Ink, Stroke};
 use crate::flow::Flow;
 use crate::frame::Mark;
-use crate::{Picture, Source, colours, names};
+use crate::{Drawing, Picture, Source, colours, names};
 use costate::low_level::model::{Horizon, Model};
 use costate::low_level::result::{StoredError, StoredGroup};
 use costate::low_level::schema;
@@ -57,15 +57,7 @@ pub fn picture(source: &Source<'_>) -> Made {
                 ""
             },
         ),
-        drawing: Box::new(Panels {
-            x_label: source.time_label(),
-            panels,
-            legend: legend.collect(),
-            marks: Vec::new(),
-            columns: 2,
-            tall: 1.0,
-            log: false,
-        }),
+        drawing: drawing(source, panels, legend.collect()),
     }))
 }
 
@@ -124,15 +116,7 @@ pub fn closed_loop(source: &Source<'_>) -> Made {
             "The same {shown} initial states under every law: a colour is a law, a dash an initial state. Laws whose lines lie \
              on each other act alike."
         ),
-        drawing: Box::new(Panels {
-            x_label: source.time_label(),
-            panels,
-            legend: laws.chain(dashes).collect(),
-            marks: Vec::new(),
-            columns: 2,
-            tall: 1.0,
-            log: false,
-        }),
+        drawing: drawing(source, panels, laws.chain(dashes).collect()),
     }))
 }
 
@@ -183,15 +167,7 @@ pub fn simulated(source: &Source<'_>) -> Made {
         name: "simulation".to_owned(),
         title: "Simulated states and controls against time".to_owned(),
         caption: "Lines are interrupted where the state jumps at an event.".to_owned(),
-        drawing: Box::new(Panels {
-            x_label: source.time_label(),
-            panels,
-            legend: legend.collect(),
-            marks: Vec::new(),
-            columns: 2,
-            tall: 1.0,
-            log: false,
-        }),
+        drawing: drawing(source, panels, legend.collect()),
     }))
 }
 
@@ -261,6 +237,23 @@ pub(super) fn against_time<'q>(
         }
     }
     curves
+}
+
+/// Panels against time, two beside each other.
+fn drawing(
+    source: &Source<'_>,
+    panels: Vec<Panel>,
+    legend: Vec<(Mark, String)>,
+) -> Box<dyn Drawing> {
+    Box::new(Panels {
+        x_label: source.time_label(),
+        panels,
+        legend,
+        marks: Vec::new(),
+        columns: 2,
+        tall: 1.0,
+        log: false,
+    })
 }
 
 /// Colour of a law, or of a trajectory.
