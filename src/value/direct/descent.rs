@@ -3,6 +3,7 @@
 
 use super::stage::{Rates, Slopes, Steps, times};
 use crate::backend::Deadline;
+use crate::backend::cpu::Simd;
 use crate::numeric::dense::{cholesky, solve_by_cholesky};
 
 /// Weights of the barrier, in units of the control's own cost at its bound. Without bounds the last
@@ -32,16 +33,28 @@ const KEPT: f64 = 1e4;
 const WITHIN: f64 = 0.98;
 /// Times that a step is halved.
 const HALVINGS: usize = 10;
+/// After the first of them parts of a step along the dynamics are not tried.
+const ROLLED: usize = 5;
 /// The merit of closing a gap is this many times what closing it costs, or this share of what it
 /// was before.
 const MERIT: f64 = 1.5;
 const FADING: f64 = 0.7;
+/// Steps of which less than this share is taken are damped more, and less where this share is: by a
+/// factor; by a larger one where no share leads down.
+const SHORT: f64 = 0.125;
+const LONG: f64 = 0.5;
+const DAMPED: f64 = 4.0;
+const DAMPED_AT_LAST: f64 = 16.0;
+const LEAST_DAMPING: f64 = 0.1;
+const MOST_DAMPING: f64 = 1e6;
+/// Share of what closing the gaps gains that the cost may rise by along a step.
+const DOWN: f64 = 0.9;
 
 /// Times of a transcribed problem, bounds and scales.
 #[derive(Clone)]
 pub(super) struct Transcription {
-    pub step: f64,
-    pub count: usize,
+    /// Durations of the steps.
+    pub steps: Vec<f64>,
     pub widths: Vec<f64>,
     /// Controls where a guess begins.
     pub middle: Vec<f64>,
@@ -53,12 +66,26 @@ pub(super) struct Transcription {
 }
 
 impl Transcription {
+    fn count(&self) -> usize {
+        self.steps.len()
+    }
+
+    /// Of the nodes.
+    pub fn times(&self) -> impl Iterator<Item = f64> + '_ {
+        let first = std::iter::once(0.0);
+        first.chain(self.steps.iter().scan(0.0, |t, step| {
+            *t += step;
+            Some(*t)
+        }))
+    }
+
     fn is_bounded(&self) -> bool {
         self.bounds.iter().flatten().any(|b| b.is_finite())
     }
 }
 
 /// A trajectory that was found.
+#[derive(Clone)]
 pub(super) struct Found {
     pub cost: f64,
     pub states: Vec<Vec<f64>>,
@@ -79,6 +106,11 @@ pub(super) struct Descent<'a> {
     p: Vec<f64>,
     /// Multipliers of the bounds below and above, `[step][m]`; 0 before the first step.
     duals: [Vec<f64>; 2],
+    /// What keeps steps short: Hessian of a running cost of the states' changes, as a share of V's
+    /// about the equilibrium over the whole time.
+    damping: f64,
+    /// Which share of the dynamics' curvature served last.
+    share: usize,
     /// Penalty of the gaps' components, `[step][n]`.
     penalty: Vec<f64>,
     /// Second derivative of the running cost by each control, for the barrier; 0 without bounds.
@@ -90,6 +122,18 @@ struct Change {
     x: Vec<f64>,
     u: Vec<f64>,
     p: Vec<f64>,
+    /// The laws of the steps: changes of u where x does not change, and by x, `[step][m][n]`.
+    constants: Vec<f64>,
+    gains: Vec<f64>,
+}
+
+/// What a problem along a guess consists of beside its first derivatives.
+struct Weights {
+    barrier: f64,
+    /// Of the dynamics' curvature.
+    share: f64,
+    /// Of V's Hessian about the equilibrium, for a unit of time.
+    damping: f64,
 }
 
 /// A Riccati recursion from the end on.
@@ -131,7 +175,7 @@ impl Recursion {
 
     /// The law of a step, and the cost to go from its node under it; none where it is not convex in
     /// the controls.
-    #[inline]
+    #[inline(always)]
     fn eliminate(&mut self, k: usize) -> Option<()> {
         let Self {
             n,
@@ -186,7 +230,7 @@ impl Recursion {
 
 impl<'a> Descent<'a> {
     pub fn new(rates: &'a Rates, problem: &'a Transcription, guess: &[Vec<f64>]) -> Option<Self> {
-        let u = problem.middle.repeat(problem.count);
+        let u = problem.middle.repeat(problem.count());
         Self::from(rates, problem, guess.concat(), u)
     }
 
@@ -197,11 +241,11 @@ impl<'a> Descent<'a> {
         x: Vec<f64>,
         u: Vec<f64>,
     ) -> Option<Self> {
-        let steps = rates.steps(&x, &u, problem.step)?;
+        let steps = rates.steps(&x, &u, &problem.steps)?;
         let (n, m) = (rates.states, rates.controls);
         let first = rates.slopes(
-            &rates.steps(&x[..2 * n], &u[..m], problem.step)?,
-            problem.step,
+            &rates.steps(&x[..2 * n], &u[..m], &problem.steps[..1])?,
+            &problem.steps[..1],
             None,
         );
         let curvature = |i: usize| {
@@ -217,7 +261,9 @@ impl<'a> Descent<'a> {
             rates,
             problem,
             duals: [vec![0.0; u.len()], vec![0.0; u.len()]],
-            penalty: vec![0.0; problem.count * n],
+            damping: 0.0,
+            share: 0,
+            penalty: vec![0.0; problem.count() * n],
             curvature: (0..rates.controls).map(curvature).collect(),
             x,
             u,
@@ -229,11 +275,12 @@ impl<'a> Descent<'a> {
     /// Steps until it shows what the guess leads to, if anywhere: under the first barriers, or
     /// without bounds until they are small.
     pub fn begin(&mut self) -> Option<()> {
-        if !self.problem.is_bounded() {
-            return self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, SMALL);
-        }
-        for barrier in &BARRIERS[..BEGUN] {
-            self.descend(*barrier, STEPS, SMALL)?;
+        if self.problem.is_bounded() {
+            for barrier in &BARRIERS[..BEGUN] {
+                self.descend(*barrier, STEPS, SMALL)?;
+            }
+        } else {
+            self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, SMALL)?;
         }
         (self.largest_gap() <= OPEN).then_some(())
     }
@@ -270,17 +317,32 @@ impl<'a> Descent<'a> {
     /// Steps under a barrier, at most so many, until one is as small as that or the cost settles.
     fn descend(&mut self, barrier: f64, most: usize, small: f64) -> Option<()> {
         let mut costs = Vec::new();
-        for step in 0..most {
+        for _ in 0..most {
             self.problem.deadline.check().ok()?;
             let change = self.change(barrier)?;
-            let size = self.advance(&change, barrier);
+            let Some((size, share)) = self.advance(&change, barrier) else {
+                self.damping = (DAMPED_AT_LAST * self.damping).max(LEAST_DAMPING);
+                if self.damping > MOST_DAMPING {
+                    break;
+                }
+                continue;
+            };
             self.p = change.p;
-            if size.is_none_or(|size| size <= small) {
+            if size <= small && self.damping == 0.0 {
                 break;
             }
+            if share < SHORT {
+                self.damping = (DAMPED * self.damping).max(LEAST_DAMPING);
+            } else if share >= LONG {
+                self.damping /= DAMPED;
+                if self.damping < LEAST_DAMPING {
+                    self.damping = 0.0;
+                }
+            }
             costs.push(self.cost_of(&self.x, &self.steps));
-            let settled = (step.checked_sub(SETTLING)).is_some_and(|before| {
-                (costs[step] - costs[before]).abs() < SETTLED * costs[step].abs()
+            let last = costs.len() - 1;
+            let settled = (last.checked_sub(SETTLING)).is_some_and(|before| {
+                (costs[last] - costs[before]).abs() < SETTLED * costs[last].abs()
             });
             if settled && self.largest_gap() < CLOSED {
                 break;
@@ -318,7 +380,7 @@ impl<'a> Descent<'a> {
 
     fn cost_of(&self, x: &[f64], steps: &Steps) -> f64 {
         let n = self.rates.states;
-        let end = &x[self.problem.count * n..];
+        let end = &x[self.problem.count() * n..];
         let mut slope = vec![0.0; n];
         times(&self.problem.end, end, n, n, 1, &mut slope);
         let left: f64 = slope.iter().zip(end).map(|(p, s)| 0.5 * p * s).sum();
@@ -393,24 +455,54 @@ impl<'a> Descent<'a> {
         let n = self.rates.states;
         let slopes = self
             .rates
-            .slopes(&self.steps, self.problem.step, self.p.get(n..));
-        let shares = if self.p.is_empty() {
-            &[0.0]
+            .slopes(&self.steps, &self.problem.steps, self.p.get(n..));
+        // Of the share that served last, a larger one may serve now.
+        let first = if self.p.is_empty() {
+            SHARES.len() - 1
         } else {
-            &SHARES[..]
+            self.share.saturating_sub(1)
         };
-        let change = shares
-            .iter()
-            .find_map(|share| self.change_by(barrier, &slopes, *share))?;
+        let (share, change) = (first..SHARES.len())
+            .find_map(|k| Some((k, self.change_by(barrier, &slopes, SHARES[k])?)))?;
+        if !self.p.is_empty() {
+            self.share = share;
+        }
         for (penalty, p) in self.penalty.iter_mut().zip(&change.p[n..]) {
             *penalty = (FADING * *penalty).max(MERIT * p.abs());
+        }
+        // Where the problem is convex only between gaps that are closed the step may still lead up.
+        let open: f64 = (self.penalty.iter().enumerate())
+            .map(|(k, penalty)| penalty * self.gap(k).abs())
+            .sum();
+        let along = self.slope_along(&slopes, &change, barrier);
+        if along > DOWN * open && open > 0.0 {
+            let more = along / (DOWN * open);
+            self.penalty.iter_mut().for_each(|penalty| *penalty *= more);
         }
         Some(change)
     }
 
+    /// By how much the cost, the barrier's too, changes along a step, to first order.
+    fn slope_along(&self, slopes: &Slopes, change: &Change, barrier: f64) -> f64 {
+        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count());
+        let end = &self.x[count * n..];
+        let mut slope = vec![0.0; n];
+        times(&self.problem.end, end, n, n, 1, &mut slope);
+        let mut along = dot(&slope, &change.x[count * n..]);
+        for k in 0..count {
+            let (by_state, by_control) = slopes.gradient(k).split_at(n);
+            let du = &change.u[k * m..][..m];
+            along += dot(by_state, &change.x[k * n..][..n]) + dot(by_control, du);
+            along += (self.rooms(&self.u[k * m..][..m], barrier))
+                .map(|(i, room, sign, weight)| sign * weight / room * du[i])
+                .sum::<f64>();
+        }
+        along
+    }
+
     /// The step with a share of the dynamics' curvature; none where the problem is not convex.
     fn change_by(&self, barrier: f64, slopes: &Slopes, share: f64) -> Option<Change> {
-        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
+        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count());
         let mut recursion = Recursion::new(n, m, count);
         let end = &self.problem.end;
         recursion.hessians[count * n * n..].copy_from_slice(end);
@@ -422,25 +514,44 @@ impl<'a> Descent<'a> {
             1,
             &mut recursion.gradients[count * n..],
         );
-        for k in (0..count).rev() {
-            self.expand(k, slopes, (barrier, share), &mut recursion);
-            recursion.eliminate(k)?;
-        }
+        let weights = Weights {
+            barrier,
+            share,
+            damping: self.damping / self.problem.steps.iter().sum::<f64>(),
+        };
+        self.back_by(slopes, &weights, &mut recursion)?;
         let change = self.forward(slopes, recursion);
         let finite = change.x.iter().chain(&change.u).all(|d| d.is_finite());
         finite.then_some(change)
     }
 
+    /// The laws of all steps, from the last one on.
+    #[inline(always)]
+    fn back(&self, slopes: &Slopes, weights: &Weights, recursion: &mut Recursion) -> Option<()> {
+        for k in (0..self.problem.count()).rev() {
+            self.expand(k, slopes, weights, recursion);
+            recursion.eliminate(k)?;
+        }
+        Some(())
+    }
+
+    /// The same with the widest vectors there are.
+    fn back_by(&self, slopes: &Slopes, weights: &Weights, recursion: &mut Recursion) -> Option<()> {
+        match self.rates.simd {
+            // SAFETY: the set was detected.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx512 => unsafe { back_avx512(self, slopes, weights, recursion) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            Simd::Avx2 => unsafe { back_avx2(self, slopes, weights, recursion) },
+            _ => self.back(slopes, weights, recursion),
+        }
+    }
+
     /// The cost to go from a node as a function of its state and control: the step's own, that of
     /// the next node through the dynamics, and the barrier.
-    #[inline]
-    fn expand(
-        &self,
-        k: usize,
-        at: &Slopes,
-        (barrier, share): (f64, f64),
-        recursion: &mut Recursion,
-    ) {
+    #[inline(always)]
+    fn expand(&self, k: usize, at: &Slopes, weights: &Weights, recursion: &mut Recursion) {
         let (n, m) = (self.rates.states, self.rates.controls);
         let width = n + m;
         let Recursion {
@@ -455,7 +566,7 @@ impl<'a> Descent<'a> {
         first.copy_from_slice(at.gradient(k));
         second.copy_from_slice(at.hessian(k));
         for (second, curvature) in second.iter_mut().zip(at.curvature(k)) {
-            *second += share * curvature;
+            *second += weights.share * curvature;
         }
         let jacobian = at.jacobian(k);
         times(hessian, jacobian, n, n, width, product);
@@ -465,14 +576,26 @@ impl<'a> Descent<'a> {
                     .map(|j| hessian[i * n + j] * self.gap(k * n + j))
                     .sum::<f64>();
             let row = &jacobian[i * width..][..width];
+            let product = &product[i * width..][..width];
             for a in 0..width {
                 first[a] += row[a] * ahead;
-                for b in 0..width {
-                    second[a * width + b] += row[a] * product[i * width + b];
+                let second = &mut second[a * width..][..width];
+                for (second, product) in second[a..].iter_mut().zip(&product[a..]) {
+                    *second += row[a] * product;
                 }
             }
         }
-        for (i, room, sign, weight) in self.rooms(&self.u[k * m..][..m], barrier) {
+        // It is symmetric: the rest is the same.
+        for a in 0..width {
+            for b in 0..a {
+                second[a * width + b] = second[b * width + a];
+            }
+        }
+        let damping = weights.damping * self.problem.steps[k];
+        for i in 0..n {
+            second[i * (width + 1)] += damping * self.problem.end[i * (n + 1)];
+        }
+        for (i, room, sign, weight) in self.rooms(&self.u[k * m..][..m], weights.barrier) {
             first[n + i] += sign * weight / room;
             second[(n + i) * (width + 1)] += self.dual(k * m + i, sign, weight / room) / room;
         }
@@ -480,7 +603,7 @@ impl<'a> Descent<'a> {
 
     /// The changes from the first node on, by the laws of the steps.
     fn forward(&self, slopes: &Slopes, recursion: Recursion) -> Change {
-        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count);
+        let (n, m, count) = (self.rates.states, self.rates.controls, self.problem.count());
         let width = n + m;
         let Recursion {
             hessians,
@@ -491,13 +614,15 @@ impl<'a> Descent<'a> {
         } = recursion;
         let mut change = Change {
             x: vec![0.0; (count + 1) * n],
-            u: constants,
+            u: constants.clone(),
             p: gradients,
+            constants,
+            gains,
         };
         for k in 0..count {
             for i in 0..m {
-                let gain = &gains[(k * m + i) * n..][..n];
-                change.u[k * m + i] += (0..n).map(|j| gain[j] * change.x[k * n + j]).sum::<f64>();
+                let gain = &change.gains[(k * m + i) * n..][..n];
+                change.u[k * m + i] += dot(gain, &change.x[k * n..][..n]);
             }
             for i in 0..n {
                 let row = &slopes.jacobian(k)[i * width..][..width];
@@ -515,9 +640,9 @@ impl<'a> Descent<'a> {
         change
     }
 
-    /// Takes as much of a step as makes the merit less; the whole step's size, none where there is
-    /// no such part.
-    fn advance(&mut self, change: &Change, barrier: f64) -> Option<f64> {
+    /// Takes as much of a step as makes the merit less; the whole step's size and the share of it,
+    /// none where there is no such part.
+    fn advance(&mut self, change: &Change, barrier: f64) -> Option<(f64, f64)> {
         let (n, m) = (self.rates.states, self.rates.controls);
         let mut share: f64 = 1.0;
         for (k, (u, du)) in self.u.iter().zip(&change.u).enumerate() {
@@ -528,21 +653,83 @@ impl<'a> Descent<'a> {
             }
         }
         let now = self.merit(&self.x, &self.u, &self.steps, barrier);
-        for _ in 0..HALVINGS {
+        for halving in 0..HALVINGS {
             let moved = |a: &[f64], d: &[f64]| -> Vec<f64> {
                 a.iter().zip(d).map(|(a, d)| a + share * d).collect()
             };
-            let (x, u) = (moved(&self.x, &change.x), moved(&self.u, &change.u));
-            if let Some(steps) = self.rates.steps(&x, &u, self.problem.step)
-                && self.merit(&x, &u, &steps, barrier) < now
+            let straight = || Some((moved(&self.x, &change.x), moved(&self.u, &change.u)));
+            let less = |(x, u): (Vec<f64>, Vec<f64>)| {
+                let steps = self.rates.steps(&x, &u, &self.problem.steps)?;
+                (self.merit(&x, &u, &steps, barrier) < now).then_some((x, u, steps))
+            };
+            let rolled = || self.rolled(change, share).filter(|_| halving < ROLLED);
+            if let Some((x, u, steps)) = straight()
+                .and_then(less)
+                .or_else(|| rolled().and_then(less))
             {
                 self.advance_duals(change, barrier);
                 (self.x, self.u, self.steps) = (x, u, steps);
                 let size = |(k, d): (usize, &f64)| (d / self.problem.widths[k % n]).abs();
-                return Some(change.x.iter().enumerate().map(size).fold(0.0, f64::max));
+                let size = change.x.iter().enumerate().map(size).fold(0.0, f64::max);
+                return Some((size, share));
             }
             share *= 0.5;
         }
         None
     }
+
+    /// A share of a step along the dynamics, by the steps' laws: gaps grow less by that share, and
+    /// open nowhere else (Mastalli et al., Crocoddyl, ICRA 2020). None where a control leaves its
+    /// bounds.
+    fn rolled(&self, change: &Change, share: f64) -> Option<(Vec<f64>, Vec<f64>)> {
+        let (n, m) = (self.rates.states, self.rates.controls);
+        let mut x = vec![0.0; self.x.len()];
+        let mut u = Vec::with_capacity(self.u.len());
+        let (mut off, mut room) = (vec![0.0; n], Vec::new());
+        x[..n].copy_from_slice(&self.x[..n]);
+        for (k, step) in self.problem.steps.iter().enumerate() {
+            let (at, next) = x[k * n..][..2 * n].split_at_mut(n);
+            (0..n).for_each(|i| off[i] = at[i] - self.x[k * n + i]);
+            for i in k * m..(k + 1) * m {
+                let law = dot(&change.gains[i * n..][..n], &off);
+                let control = self.u[i] + share * change.constants[i] + law;
+                let [lo, hi] = self.problem.bounds[i % m];
+                if !(lo < control && control < hi) {
+                    return None;
+                }
+                u.push(control);
+            }
+            self.rates.step(at, &u[k * m..], *step, next, &mut room);
+            for (i, next) in next.iter_mut().enumerate() {
+                *next -= (1.0 - share) * self.gap(k * n + i);
+            }
+        }
+        Some((x, u))
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f")]
+fn back_avx512(
+    descent: &Descent<'_>,
+    slopes: &Slopes,
+    weights: &Weights,
+    recursion: &mut Recursion,
+) -> Option<()> {
+    descent.back(slopes, weights, recursion)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn back_avx2(
+    descent: &Descent<'_>,
+    slopes: &Slopes,
+    weights: &Weights,
+    recursion: &mut Recursion,
+) -> Option<()> {
+    descent.back(slopes, weights, recursion)
 }

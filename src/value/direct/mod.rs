@@ -22,12 +22,15 @@ use stage::Rates;
 
 /// Length of the horizon in times of the slowest mode of the closed loop.
 const HORIZON: f64 = 10.0;
-/// Steps in the time of the fastest one, and their least and largest number.
+/// Steps in the time of the fastest one, their least number, and their largest while all are as long.
 const STEPS: f64 = 2.5;
 const LEAST_STEPS: usize = 100;
 const MOST_STEPS: usize = 400;
-/// Longest step in the time of the fastest mode: longer ones would not be stable.
-const STIFF: f64 = 2.0;
+/// Where modes are further apart, steps grow by this factor: fast ones matter at first. Their longest
+/// in the time of the fastest mode of the open loop: longer ones would not be stable.
+const GROWTH: f64 = 1.05;
+const STABLE: f64 = 1.0;
+const MOST_GROWN: usize = 600;
 /// Size of the box about the region's middle in which states lie that guesses go by.
 const VIA: f64 = 1.6;
 /// Share of the cost that may be left at the end of the horizon.
@@ -39,10 +42,17 @@ const ALIKE_COSTS: f64 = 1.03;
 /// Parts into which steps are divided once more.
 const LEAST_PARTS: usize = 2;
 const MOST_PARTS: usize = 8;
+/// By which sums of times may be off.
+const ROUNDING: f64 = 1e-9;
 /// Share of the usual duration that its segments have.
 const SHORT: f64 = 1.0 / 16.0;
 /// What costs more than this many times the least is not followed to its end.
 const DEAR: f64 = 3.0;
+
+/// Numbers of guesses from which on they are a trajectory that was found, moved by a swing; its sizes,
+/// in widths.
+pub const MOVED_FROM: u64 = 1 << 33;
+const MOVES: [f64; 3] = [0.05, 0.15, 0.4];
 
 /// Numbers of guesses from which on they hold their controls at first, within this share of the way to
 /// their bounds; and how far they may be carried, in widths.
@@ -55,12 +65,15 @@ pub struct Direct<'a> {
     plan: &'a Plan,
     rates: Rates,
     problem: Transcription,
+    /// Whether its steps grow.
+    grows: bool,
     /// Time of the slowest mode.
     slow: f64,
     duration: f64,
 }
 
 /// A trajectory with what it costs.
+#[derive(Clone)]
 pub struct Optimized {
     pub cost: f64,
     pub path: Path,
@@ -101,14 +114,15 @@ impl<'a> Direct<'a> {
                 .fold(f64::INFINITY, f64::min);
         let fast = 1.0 / modes.iter().map(|e| e.norm()).fold(0.0, f64::max);
         let time = HORIZON * slow;
-        let is_stiff = time / fast > STIFF * MOST_STEPS as f64;
-        if is_stiff || !time.is_finite() || model.controls.is_empty() {
+        if !time.is_finite() || model.controls.is_empty() {
             return None;
         }
-        let count = ((STEPS * time / fast).ceil() as usize).clamp(LEAST_STEPS, MOST_STEPS);
+        let rates = Rates::new(model);
+        let open = rates.fastest(middle);
+        let steps = mesh(time, fast, open)?;
+        let grows = steps[0] < steps[steps.len() - 1];
         let problem = Transcription {
-            step: time / count as f64,
-            count,
+            steps,
             widths: plan.widths.clone(),
             middle: middle.clone(),
             bounds: (model.controls.iter())
@@ -125,8 +139,9 @@ impl<'a> Direct<'a> {
         };
         Some(Self {
             plan,
-            rates: Rates::new(model),
+            rates,
             problem,
+            grows,
             slow,
             duration,
         })
@@ -139,17 +154,35 @@ impl<'a> Direct<'a> {
     }
 
     /// What comes of guesses with these numbers from a state, a deviation, where it does not cost
-    /// much more than `most`.
-    pub fn optimized(&self, s: &[f64], guesses: &[u64], most: f64, end: &End) -> Round {
+    /// much more than `most`; `known` is a trajectory from there that moved guesses begin with.
+    pub fn optimized(
+        &self,
+        s: &[f64],
+        guesses: &[u64],
+        most: f64,
+        known: Option<&Optimized>,
+        end: &End,
+    ) -> Round {
         let copies = self.copies(s);
-        let mut begun: Vec<(f64, Descent<'_>)> = (guesses.par_iter())
-            .flat_map_iter(|k| copies.iter().map(move |from| (*k, from)))
+        let mut tried = Vec::new();
+        for &k in guesses {
+            if k >= MOVED_FROM {
+                tried.extend(known.map(|known| (k, known.found.states[0].as_slice())));
+            } else {
+                tried.extend(copies.iter().map(|s| (k, s.as_slice())));
+            }
+        }
+        let mut begun: Vec<(f64, Descent<'_>)> = (tried.into_par_iter())
             .filter_map(|(k, from)| {
-                let guess = match k.checked_sub(CARRIED_FROM) {
-                    Some(k) => self.carried(from, k)?,
-                    None => self.guess(from, k),
+                let mut descent = if k >= MOVED_FROM {
+                    self.moved(known?, k)?
+                } else {
+                    let guess = match k.checked_sub(CARRIED_FROM) {
+                        Some(k) => self.carried(from, k)?,
+                        None => self.guess(from, k),
+                    };
+                    Descent::new(&self.rates, &self.problem, &guess)?
                 };
-                let mut descent = Descent::new(&self.rates, &self.problem, &guess)?;
                 descent.begin()?;
                 Some((descent.cost(), descent))
             })
@@ -176,12 +209,7 @@ impl<'a> Direct<'a> {
             }
         }
         let finished: Vec<(Optimized, usize)> = (ways.into_par_iter())
-            .filter_map(|(_, descent, times)| {
-                Some((
-                    self.path(descent.finish()?, &self.problem, self.duration, end)?,
-                    times,
-                ))
-            })
+            .filter_map(|(_, descent, times)| Some((self.shown(descent.finish()?, end)?, times)))
             .collect();
         let of_each = |(o, times): &(Optimized, usize)| std::iter::repeat_n(o.cost, *times);
         costs.extend(finished.iter().flat_map(of_each));
@@ -209,7 +237,6 @@ impl<'a> Direct<'a> {
     /// carried.
     fn carried(&self, s: &[f64], k: u64) -> Option<Vec<Vec<f64>>> {
         let number = |j: u64| uniform(k, j);
-        let (count, step) = (self.problem.count, self.problem.step);
         let held: Vec<f64> = (self
             .problem
             .bounds
@@ -226,11 +253,11 @@ impl<'a> Direct<'a> {
         let time = self.slow * (0.1 + 1.5 * number(0));
         let rate = (1.0 + 3.0 * number(1)) / self.slow;
         let mut states = vec![s.to_vec()];
-        for i in 0..count {
-            let t = i as f64 * step;
-            let last = &states[i];
+        let mut t = 0.0;
+        for &step in &self.problem.steps {
+            let last = &states[states.len() - 1];
             let next = if t < time {
-                self.rates.steps(last, &held, step)?.next
+                self.rates.steps(last, &held, &[step])?.next
             } else {
                 last.iter().map(|s| s * (-rate * step).exp()).collect()
             };
@@ -239,16 +266,33 @@ impl<'a> Direct<'a> {
                 return None;
             }
             states.push(next);
+            t += step;
         }
         Some(states)
+    }
+
+    /// A trajectory that was found, moved by a swing that fades.
+    fn moved(&self, known: &Optimized, k: u64) -> Option<Descent<'_>> {
+        let number = |j: u64| uniform(k, j);
+        let size = MOVES[(k % 3) as usize];
+        let (decay, swing) = (0.3 + 2.0 * number(0), 12.0 * number(1));
+        let amplitude: Vec<f64> = (self.plan.widths.iter().zip(2u64..))
+            .map(|(width, j)| size * width * (2.0 * number(j) - 1.0))
+            .collect();
+        let times = self.problem.times().map(|t| t / self.slow);
+        let x = (times.zip(&known.found.states)).flat_map(|(t, state)| {
+            let bump = (-decay * t).exp() * (swing * t).sin();
+            (state.iter().zip(&amplitude)).map(move |(s, a)| s + a * bump)
+        });
+        let controls = known.found.controls.clone();
+        Descent::from(&self.rates, &self.problem, x.collect(), controls)
     }
 
     /// States along a guess: ways to the equilibrium that decay, swing, or go by another state.
     fn guess(&self, s: &[f64], k: u64) -> Vec<Vec<f64>> {
         let n = s.len();
         let number = |j: u64| uniform(k, j);
-        let count = self.problem.count;
-        let times = (0..=count).map(|i| i as f64 * self.problem.step / self.slow);
+        let times = self.problem.times().map(|t| t / self.slow);
         match k {
             0 | 1 => {
                 let rate = [1.0, 4.0][k as usize];
@@ -290,33 +334,56 @@ impl<'a> Direct<'a> {
         }
     }
 
+    /// What was found, as a guess: with shorter steps where they grow.
+    fn shown(&self, found: Found, end: &End) -> Option<Optimized> {
+        if self.grows {
+            let fine = self.divided(&found, found.states.len() - 1, LEAST_PARTS);
+            let shown =
+                fine.and_then(|(fine, problem)| self.path(fine, &problem, self.duration, end));
+            if let Some(shown) = shown {
+                return Some(Optimized { found, ..shown });
+            }
+        }
+        self.path(found, &self.problem, self.duration, end)
+    }
+
     /// A trajectory with shorter steps, as long as it is on its way: what is narrow is passed at
     /// other costs, and controls switch at times between the steps. Its path has shorter segments:
     /// beside what is narrow trajectories part sooner than at the equilibrium.
     pub fn refined(&self, one: &Optimized, end: &End) -> Option<Optimized> {
-        let (states, controls) = (&one.found.states, &one.found.controls);
+        let on_its_way = self.arrival(&one.found.states);
+        let parts = (self.problem.steps.len() / on_its_way.max(1)).clamp(LEAST_PARTS, MOST_PARTS);
+        let parts = if self.grows { MOST_PARTS } else { parts };
+        let (found, problem) = self.divided(&one.found, on_its_way, parts)?;
+        self.path(found, &problem, SHORT * self.duration, end)
+    }
+
+    /// The first steps of a trajectory divided into parts, and optimized again.
+    fn divided(&self, found: &Found, count: usize, parts: usize) -> Option<(Found, Transcription)> {
+        let (states, controls) = (&found.states, &found.controls);
         let (n, m) = (self.rates.states, self.rates.controls);
-        let on_its_way = self.arrival(states);
-        let parts = (self.problem.count / on_its_way.max(1)).clamp(LEAST_PARTS, MOST_PARTS);
+        let parted = |step: &f64| std::iter::repeat_n(step / parts as f64, parts);
         let problem = Transcription {
-            step: self.problem.step / parts as f64,
-            count: parts * on_its_way,
+            steps: (self.problem.steps[..count].iter())
+                .flat_map(parted)
+                .collect(),
             ..self.problem.clone()
         };
-        let mut x: Vec<f64> = Vec::with_capacity((problem.count + 1) * n);
-        let mut u = Vec::with_capacity(problem.count * m);
-        for k in 0..on_its_way {
+        let mut x: Vec<f64> = Vec::with_capacity((count * parts + 1) * n);
+        let mut u = Vec::with_capacity(count * parts * m);
+        for k in 0..count {
             let control = &controls[k * m..][..m];
             let mut at = states[k].clone();
             for _ in 0..parts {
                 x.extend_from_slice(&at);
                 u.extend_from_slice(control);
-                at = self.rates.steps(&at, control, problem.step)?.next;
+                let step = [self.problem.steps[k] / parts as f64];
+                at = self.rates.steps(&at, control, &step)?.next;
             }
         }
-        x.extend_from_slice(&states[on_its_way]);
+        x.extend_from_slice(&states[count]);
         let found = Descent::from(&self.rates, &problem, x, u)?.mend()?;
-        self.path(found, &problem, SHORT * self.duration, end)
+        Some((found, problem))
     }
 
     /// The first node that is near the equilibrium; the last one where none is.
@@ -343,13 +410,14 @@ impl<'a> Direct<'a> {
             return None;
         }
         let node = |k: usize| [found.states[k].as_slice(), &found.adjoints[k]].concat();
-        let every = ((duration / problem.step).floor() as usize).max(1);
+        let times: Vec<f64> = problem.times().collect();
         let mut path = Path::new(&node(0));
         let mut at = 0;
         // What is near the equilibrium follows the local solution.
         while at < last && local.quadratic(&found.states[at]) > local.seed_value {
-            let next = (at + every).min(last);
-            path.push((next - at) as f64 * problem.step, &node(next));
+            let until = times[at] + duration * (1.0 + ROUNDING);
+            let next = (times.partition_point(|t| *t <= until) - 1).clamp(at + 1, last);
+            path.push(times[next] - times[at], &node(next));
             at = next;
         }
         let (nodes, durations) = end.tail(&found.states[at], found.cost, self.duration);
@@ -360,6 +428,24 @@ impl<'a> Direct<'a> {
             found,
         })
     }
+}
+
+/// Durations of steps over a time, as the fastest mode of the closed loop wants them and that of the
+/// open one allows; `None` where that would be too many.
+fn mesh(time: f64, fast: f64, open: f64) -> Option<Vec<f64>> {
+    let count = ((STEPS * time / fast).ceil()).max(LEAST_STEPS as f64);
+    if count <= MOST_STEPS as f64 {
+        return Some(vec![time / count; count as usize]);
+    }
+    let longest = (time / LEAST_STEPS as f64).min(STABLE * open);
+    let mut steps = Vec::new();
+    let (mut step, mut at) = ((fast / STEPS).min(longest), 0.0);
+    while at < time && steps.len() < MOST_GROWN {
+        steps.push(step);
+        at += step;
+        step = (GROWTH * step).min(longest);
+    }
+    (at >= time).then_some(steps)
 }
 
 /// The state at a time on straight ways between timed states; the last one after them.

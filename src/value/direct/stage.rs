@@ -24,7 +24,7 @@ pub(super) struct Rates {
     zeros: Zeros,
     pub states: usize,
     pub controls: usize,
-    simd: Simd,
+    pub simd: Simd,
 }
 
 /// Entries that are 0 whatever the point: half of a mechanism's, say, and most of a quadratic cost's.
@@ -92,6 +92,8 @@ type Lane = [f64; LANES];
 
 /// What is computed of steps side by side.
 struct Block {
+    /// Durations of the steps.
+    steps: Lane,
     by_stage: Vec<Lane>,
     slope: Vec<Lane>,
     product: Vec<Lane>,
@@ -106,6 +108,16 @@ struct Block {
 }
 
 impl Rates {
+    /// Time of the fastest mode of the open loop about the equilibrium; infinite where none moves.
+    pub fn fastest(&self, controls: &[f64]) -> f64 {
+        let (n, width) = (self.states, self.states + self.controls);
+        let at = [&vec![0.0; n], controls].concat();
+        let slopes = self.derivatives.eval(&at, width);
+        let open = DMatrix::from_fn(n, n, |i, j| slopes[i * width + j]);
+        let rates = open.complex_eigenvalues();
+        rates.iter().map(|e| e.norm()).fold(0.0, f64::max).recip()
+    }
+
     pub fn new(model: &Model) -> Self {
         let mut graph = model.graph.clone();
         let n = model.states.len();
@@ -176,7 +188,7 @@ impl Rates {
 
     /// Steps of the classical fourth-order method from `x`, `[step][n]`, under `u`, `[step][m]`;
     /// `None` where one is not finite.
-    pub fn steps(&self, x: &[f64], u: &[f64], h: f64) -> Option<Steps> {
+    pub fn steps(&self, x: &[f64], u: &[f64], h: &[f64]) -> Option<Steps> {
         let (n, m) = (self.states, self.controls);
         let (width, count) = (n + m, u.len() / m);
         let mut steps = Steps {
@@ -188,14 +200,14 @@ impl Rates {
         for (node, weight) in NODES.into_iter().zip(WEIGHTS) {
             let mut at = Vec::with_capacity(count * width);
             for k in 0..count {
-                at.extend((0..n).map(|i| x[k * n + i] + node * h * rates[k * (n + 1) + i]));
+                at.extend((0..n).map(|i| x[k * n + i] + node * h[k] * rates[k * (n + 1) + i]));
                 at.extend_from_slice(&u[k * m..][..m]);
             }
             rates = self.rates.eval(&at, width);
             for k in 0..count {
                 let rate = &rates[k * (n + 1)..][..=n];
-                (0..n).for_each(|i| steps.next[k * n + i] += weight * h * rate[i]);
-                steps.cost[k] += weight * h * rate[n];
+                (0..n).for_each(|i| steps.next[k * n + i] += weight * h[k] * rate[i]);
+                steps.cost[k] += weight * h[k] * rate[n];
             }
             steps.stages.push(at);
         }
@@ -203,9 +215,24 @@ impl Rates {
         finite.then_some(steps)
     }
 
+    /// The state after a single step, into `next`; `room` is memory.
+    pub fn step(&self, x: &[f64], u: &[f64], h: f64, next: &mut [f64], room: &mut Vec<f64>) {
+        let (n, width) = (self.states, self.states + self.controls);
+        room.clear();
+        room.resize(width + n + 1, 0.0);
+        let (at, rate) = room.split_at_mut(width);
+        at[n..].copy_from_slice(u);
+        next.copy_from_slice(x);
+        for (node, weight) in NODES.into_iter().zip(WEIGHTS) {
+            (0..n).for_each(|i| at[i] = x[i] + node * h * rate[i]);
+            self.rates.fill(at, width, rate);
+            (0..n).for_each(|i| next[i] += weight * h * rate[i]);
+        }
+    }
+
     /// Derivatives of steps, through all stages; with the dynamics' curvature for adjoints after
     /// the steps, `[step][n]`.
-    pub fn slopes(&self, steps: &Steps, h: f64, adjoints: Option<&[f64]>) -> Slopes {
+    pub fn slopes(&self, steps: &Steps, h: &[f64], adjoints: Option<&[f64]>) -> Slopes {
         let (n, width) = (self.states, self.states + self.controls);
         let outputs = (n + 1) * width + width * width;
         let all: Vec<Vec<f64>> = steps
@@ -229,6 +256,7 @@ impl Rates {
         };
         let lanes = |size: usize| vec![[0.0; LANES]; size];
         let mut block = Block {
+            steps: [0.0; LANES],
             by_stage: lanes(n * width),
             slope: lanes(n * width),
             product: lanes(square),
@@ -243,12 +271,13 @@ impl Rates {
         for first in (0..count).step_by(LANES) {
             let here = LANES.min(count - first);
             block.clear();
+            block.steps[..here].copy_from_slice(&h[first..][..here]);
             for (stage, all) in all.iter().enumerate() {
                 gather(all, first, here, &mut block.here);
                 if is_curved {
                     gather(&curvatures[stage], first, here, &mut block.curved);
                 }
-                block.add_by(self.simd, &self.zeros, stage, (n, h), is_curved);
+                block.add_by(self.simd, &self.zeros, stage, n, is_curved);
             }
             block.mirror();
             scatter(&block.jacobian, first, here, &mut slopes.jacobian);
@@ -270,7 +299,7 @@ impl Rates {
         &self,
         second: &Evaluator,
         steps: &Steps,
-        h: f64,
+        h: &[f64],
         adjoints: &[f64],
         derivatives: &[Vec<f64>],
     ) -> Vec<Vec<f64>> {
@@ -281,7 +310,9 @@ impl Rates {
         // Adjoints of the stages' rates, `[step][n]`, from the last stage to the first.
         let mut weights: Vec<f64> = Vec::new();
         for stage in (0..NODES.len()).rev() {
-            let mut here: Vec<f64> = adjoints.iter().map(|p| h * WEIGHTS[stage] * p).collect();
+            let mut here: Vec<f64> = (adjoints.iter().enumerate())
+                .map(|(k, p)| h[k / n] * WEIGHTS[stage] * p)
+                .collect();
             if let (Some(node), Some(of_next)) = (NODES.get(stage + 1), derivatives.get(stage + 1))
             {
                 for k in 0..count {
@@ -290,8 +321,8 @@ impl Rates {
                         let dynamics: f64 = (0..n)
                             .map(|j| next[j * width + i] * weights[k * n + j])
                             .sum();
-                        let cost = h * WEIGHTS[stage + 1] * next[n * width + i];
-                        here[k * n + i] += node * h * (dynamics + cost);
+                        let cost = h[k] * WEIGHTS[stage + 1] * next[n * width + i];
+                        here[k * n + i] += node * h[k] * (dynamics + cost);
                     }
                 }
             }
@@ -328,63 +359,60 @@ impl Block {
 
     /// Adds what a stage contributes.
     #[inline(always)]
-    fn add(&mut self, zeros: &Zeros, stage: usize, (n, h): (usize, f64), is_curved: bool) {
-        let (node, weight) = (NODES[stage], WEIGHTS[stage]);
+    fn add<const FUSED: bool>(&mut self, zeros: &Zeros, stage: usize, n: usize, is_curved: bool) {
+        let one = [1.0; LANES];
+        let (to_stage, share) = (
+            self.steps.map(|h| NODES[stage] * h),
+            self.steps.map(|h| WEIGHTS[stage] * h),
+        );
         let width = self.gradient.len();
         let (first, rest) = self.here.split_at(n * width);
         let (gradient, second) = rest.split_at(width);
         if is_curved {
             symmetric(&self.curved, width, &mut self.square);
         }
-        if node == 0.0 {
+        if NODES[stage] == 0.0 {
             // The stage's state is that of the step.
             self.slope.copy_from_slice(first);
-            add_all(&mut self.gradient, weight * h, gradient);
-            add_all(&mut self.hessian, weight * h, second);
+            add_all(&mut self.gradient, &share, gradient);
+            add_all(&mut self.hessian, &share, second);
             if is_curved {
-                add_all(&mut self.curvature, 1.0, &self.square);
+                add_all(&mut self.curvature, &one, &self.square);
             }
         } else {
             // d(stage)/d(x, u), of the states; the controls are those of the step.
             for (k, (b, s)) in self.by_stage.iter_mut().zip(&self.slope).enumerate() {
                 let unit = f64::from(u8::from(k % width == k / width));
                 for l in 0..LANES {
-                    b[l] = unit + node * h * s[l];
+                    b[l] = unit + to_stage[l] * s[l];
                 }
             }
             let by_stage = &self.by_stage;
-            chained(first, &zeros.first, by_stage, n, &mut self.slope);
-            chained(second, &zeros.second, by_stage, n, &mut self.product);
+            chained::<FUSED>(first, &zeros.first, by_stage, n, &mut self.slope);
+            chained::<FUSED>(second, &zeros.second, by_stage, n, &mut self.product);
             for (row, of_state) in by_stage.chunks(width).zip(gradient) {
-                add_lanes(&mut self.gradient, weight * h, of_state, row);
+                add_lanes(&mut self.gradient, &share, of_state, row);
             }
-            add_all(&mut self.gradient[n..], weight * h, &gradient[n..]);
-            add_product(by_stage, &self.product, n, weight * h, &mut self.hessian);
+            add_all(&mut self.gradient[n..], &share, &gradient[n..]);
+            add_product::<FUSED>(by_stage, &self.product, n, &share, &mut self.hessian);
             if is_curved {
-                chained(&self.square, &zeros.square, by_stage, n, &mut self.product);
-                add_product(by_stage, &self.product, n, 1.0, &mut self.curvature);
+                chained::<FUSED>(&self.square, &zeros.square, by_stage, n, &mut self.product);
+                add_product::<FUSED>(by_stage, &self.product, n, &one, &mut self.curvature);
             }
         }
-        add_all(&mut self.jacobian, weight * h, &self.slope);
+        add_all(&mut self.jacobian, &share, &self.slope);
     }
 
     /// The same with the widest vectors there are.
-    fn add_by(
-        &mut self,
-        simd: Simd,
-        zeros: &Zeros,
-        stage: usize,
-        (n, h): (usize, f64),
-        is_curved: bool,
-    ) {
+    fn add_by(&mut self, simd: Simd, zeros: &Zeros, stage: usize, n: usize, is_curved: bool) {
         match simd {
             // SAFETY: the set was detected.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx512 => unsafe { add_avx512(self, zeros, stage, (n, h), is_curved) },
+            Simd::Avx512 => unsafe { add_avx512(self, zeros, stage, n, is_curved) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            Simd::Avx2 => unsafe { add_avx2(self, zeros, stage, (n, h), is_curved) },
-            _ => self.add(zeros, stage, (n, h), is_curved),
+            Simd::Avx2 => unsafe { add_avx2(self, zeros, stage, n, is_curved) },
+            _ => self.add::<false>(zeros, stage, n, is_curved),
         }
     }
 
@@ -402,15 +430,15 @@ impl Block {
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f")]
-fn add_avx512(block: &mut Block, zeros: &Zeros, stage: usize, at: (usize, f64), is_curved: bool) {
-    block.add(zeros, stage, at, is_curved);
+#[target_feature(enable = "avx512f,fma")]
+fn add_avx512(block: &mut Block, zeros: &Zeros, stage: usize, n: usize, is_curved: bool) {
+    block.add::<true>(zeros, stage, n, is_curved);
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn add_avx2(block: &mut Block, zeros: &Zeros, stage: usize, at: (usize, f64), is_curved: bool) {
-    block.add(zeros, stage, at, is_curved);
+#[target_feature(enable = "avx2,fma")]
+fn add_avx2(block: &mut Block, zeros: &Zeros, stage: usize, n: usize, is_curved: bool) {
+    block.add::<true>(zeros, stage, n, is_curved);
 }
 
 /// Numbers of steps, `[step][size]`, side by side, and back.
@@ -432,20 +460,20 @@ fn scatter(lanes: &[Lane], first: usize, count: usize, all: &mut [f64]) {
 
 /// `sum += factor by`.
 #[inline(always)]
-fn add_all(sum: &mut [Lane], factor: f64, by: &[Lane]) {
+fn add_all(sum: &mut [Lane], factor: &Lane, by: &[Lane]) {
     for (sum, by) in sum.iter_mut().zip(by) {
         for l in 0..LANES {
-            sum[l] += factor * by[l];
+            sum[l] += factor[l] * by[l];
         }
     }
 }
 
 /// `sum += factor a row`, each lane with its own `a`.
 #[inline(always)]
-fn add_lanes(sum: &mut [Lane], factor: f64, a: &Lane, row: &[Lane]) {
+fn add_lanes(sum: &mut [Lane], factor: &Lane, a: &Lane, row: &[Lane]) {
     let mut scaled = [0.0; LANES];
     for l in 0..LANES {
-        scaled[l] = factor * a[l];
+        scaled[l] = factor[l] * a[l];
     }
     for (sum, b) in sum.iter_mut().zip(row) {
         for l in 0..LANES {
@@ -467,36 +495,88 @@ fn symmetric(upper: &[Lane], width: usize, square: &mut [Lane]) {
 /// `c = a [b; 0 1]`: derivatives by state and control become those by the step's; `b` is of the
 /// states, `[n][width]`. `zeros`: entries of a that are 0 whatever the point.
 #[inline(always)]
-fn chained(a: &[Lane], zeros: &[bool], b: &[Lane], n: usize, c: &mut [Lane]) {
+fn chained<const FUSED: bool>(a: &[Lane], zeros: &[bool], b: &[Lane], n: usize, c: &mut [Lane]) {
     let width = b.len() / n;
     let rows = a.chunks(width).zip(zeros.chunks(width));
     for ((a, zeros), c) in rows.zip(c.chunks_mut(width)) {
         c[..n].fill([0.0; LANES]);
         c[n..].copy_from_slice(&a[n..]);
-        for ((a, zero), b) in a.iter().zip(zeros).zip(b.chunks(width)) {
-            if !zero {
-                add_lanes(c, 1.0, a, b);
-            }
-        }
+        let rows = (a[..n].iter().zip(zeros).zip(b.chunks(width)))
+            .filter(|((_, zero), _)| !**zero)
+            .map(|((a, _), b)| (*a, b));
+        add_rows::<FUSED>(rows, c);
     }
 }
 
 /// Adds `factor [b; 0 1]' a` to the upper triangle of `c`.
 #[inline(always)]
-fn add_product(b: &[Lane], a: &[Lane], n: usize, factor: f64, c: &mut [Lane]) {
+fn add_product<const FUSED: bool>(b: &[Lane], a: &[Lane], n: usize, factor: &Lane, c: &mut [Lane]) {
     let width = b.len() / n;
-    for (b, a) in b.chunks(width).zip(a.chunks(width)) {
-        for (i, (b, c)) in b.iter().zip(c.chunks_mut(width)).enumerate() {
-            add_lanes(&mut c[i..], factor, b, &a[i..]);
+    for (i, c) in c.chunks_mut(width).enumerate() {
+        let rows =
+            (b.chunks(width).zip(a.chunks(width))).map(|(b, a)| (product(factor, &b[i]), &a[i..]));
+        add_rows::<FUSED>(rows, &mut c[i..]);
+        if i >= n {
+            add_all(c, factor, &a[i * width..][..width]);
         }
     }
-    for i in n..width {
-        let of_control = i * width..(i + 1) * width;
-        add_all(&mut c[of_control.clone()], factor, &a[of_control]);
+}
+
+#[inline(always)]
+fn product(a: &Lane, b: &Lane) -> Lane {
+    let mut product = *a;
+    for l in 0..LANES {
+        product[l] *= b[l];
+    }
+    product
+}
+
+/// Adds rows, each times its number: several at once, so that sums are read and written less often.
+#[inline(always)]
+fn add_rows<'a, const FUSED: bool>(
+    mut rows: impl Iterator<Item = (Lane, &'a [Lane])>,
+    sum: &mut [Lane],
+) {
+    while let Some((a, row)) = rows.next() {
+        let Some((b, second)) = rows.next() else {
+            for (sum, x) in sum.iter_mut().zip(row) {
+                for l in 0..LANES {
+                    sum[l] = plus::<FUSED>(sum[l], a[l], x[l]);
+                }
+            }
+            return;
+        };
+        let Some((c, third)) = rows.next() else {
+            for ((sum, x), y) in sum.iter_mut().zip(row).zip(second) {
+                for l in 0..LANES {
+                    let one = plus::<FUSED>(sum[l], a[l], x[l]);
+                    sum[l] = plus::<FUSED>(one, b[l], y[l]);
+                }
+            }
+            return;
+        };
+        for (((sum, x), y), z) in sum.iter_mut().zip(row).zip(second).zip(third) {
+            for l in 0..LANES {
+                let one = plus::<FUSED>(sum[l], a[l], x[l]);
+                let two = plus::<FUSED>(one, b[l], y[l]);
+                sum[l] = plus::<FUSED>(two, c[l], z[l]);
+            }
+        }
+    }
+}
+
+/// `sum + a b`, where the machine has it in one instruction.
+#[inline(always)]
+fn plus<const FUSED: bool>(sum: f64, a: f64, b: f64) -> f64 {
+    if FUSED {
+        a.mul_add(b, sum)
+    } else {
+        sum + a * b
     }
 }
 
 /// `c = a b` for matrices of `rows x inner` and `inner x columns`, row by row.
+#[inline(always)]
 pub(super) fn times(
     a: &[f64],
     b: &[f64],
@@ -547,14 +627,17 @@ mod tests {
             "#;
         let model = scenario::parse(text, "test", &[]).expect("a scene");
         let rates = Rates::new(&model);
-        let (z, h, p) = ([0.7, -0.4, 0.3], 0.2, [1.3, -0.8]);
+        let (z, h, p) = ([0.7, -0.4, 0.3], [0.2], [1.3, -0.8]);
         // Cost of a step and p times the state after it.
         let lagrangian = |z: &[f64]| {
-            let steps = rates.steps(&z[..2], &z[2..], h).expect("finite");
+            let steps = rates.steps(&z[..2], &z[2..], &h).expect("finite");
             steps.cost[0] + p.iter().zip(&steps.next).map(|(p, x)| p * x).sum::<f64>()
         };
-        let steps = rates.steps(&z[..2], &z[2..], h).expect("finite");
-        let slopes = rates.slopes(&steps, h, Some(&p));
+        let steps = rates.steps(&z[..2], &z[2..], &h).expect("finite");
+        let mut next = [0.0; 2];
+        rates.step(&z[..2], &z[2..], h[0], &mut next, &mut Vec::new());
+        assert_eq!(steps.next, next, "a single step");
+        let slopes = rates.slopes(&steps, &h, Some(&p));
         let (jacobian, gradient) = (slopes.jacobian(0), slopes.gradient(0));
         let eps = 1e-4;
         let moved = |by: &[(usize, f64)]| {

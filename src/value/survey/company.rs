@@ -1,14 +1,13 @@
 //! Guesses for states of a grid from trajectories that are optimized directly, where nothing shows
 //! which extremals there are: as many states as there is need for.
 
-use super::optimized::{Asked, OFF};
+use super::optimized::Asked;
 use super::spread::Effort;
 use super::{Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
 use crate::numeric::random::uniform;
 use crate::shooting::Solver;
 use crate::value::direct::{CARRIED_FROM, Optimized, Round};
-use crate::value::extremal::is_elsewhere;
 
 /// States that are looked at together.
 const TOGETHER: usize = 8;
@@ -84,6 +83,9 @@ impl Survey<'_> {
                 self.targets.len(),
             );
         }
+        if self.follow_lost(solver)? {
+            self.spread(solver, wanted, Effort::Neighbours, progress)?;
+        }
         self.direct = Some(direct);
         Ok(())
     }
@@ -104,6 +106,7 @@ impl Survey<'_> {
                     target: *target,
                     guesses: (0..FIRST).chain(further).chain(carried).collect(),
                     most: self.least_value(*target).min(self.targets.limits[*target]),
+                    known: None,
                 }
             })
             .collect()
@@ -113,15 +116,8 @@ impl Survey<'_> {
     /// about an obstacle may begin with one adjoint, and only their costs tell them apart.
     fn unknown(&self, target: usize, found: Vec<Optimized>) -> Vec<(usize, Optimized)> {
         let most = times(ABOVE, self.least_value(target));
-        let is_known = |o: &Optimized| {
-            let mut known = self.at[target].iter().map(|e| &self.extremals[*e]);
-            known.any(|e| {
-                (e.value() - o.cost).abs() <= OFF * e.value().abs()
-                    && !is_elsewhere(e, o.path.node(0), &self.scales)
-            })
-        };
         (found.into_iter())
-            .filter(|o| o.cost <= most && !is_known(o))
+            .filter(|o| o.cost <= most && !self.is_solved(target, o))
             .map(|o| (target, o))
             .collect()
     }

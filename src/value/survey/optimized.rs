@@ -3,8 +3,10 @@
 use super::{Progress, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
-use crate::value::direct::{CARRIED_FROM, Direct, Optimized, Round};
+use crate::value::direct::{CARRIED_FROM, Direct, MOVED_FROM, Optimized, Round};
+use crate::value::extremal::is_elsewhere;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Guesses that are optimized in a round, and rounds at most.
 const GUESSES: u64 = 12;
@@ -18,6 +20,8 @@ const LEAST: u64 = 2;
 /// Times that the cheapest trajectory is to be found; or, of all that was found, one in so many.
 const TIMES: usize = 3;
 const ONE_OF: usize = 8;
+/// Minima that may be left, of those to be expected.
+const UNSEEN: f64 = 0.5;
 /// Guesses, times and rounds where all guesses lead to costs that are alike: from these many states
 /// over the region, most of which lead somewhere.
 const PROBES: usize = 16;
@@ -32,7 +36,7 @@ pub(super) const OFF: f64 = 2e-3;
 /// Shortest steps, as shares of the way.
 const FROM_OPTIMIZED: f64 = 1.0 / 16.0;
 
-/// Rounds in turn without anything cheaper, by this share, that end the search from carried guesses.
+/// Rounds in turn without anything cheaper, by this share, that end the search from guesses of a kind.
 const QUIET_ROUNDS: u64 = 2;
 const CHEAPER: f64 = 1e-6;
 
@@ -45,6 +49,38 @@ pub(super) struct Asked {
     pub guesses: Vec<u64>,
     /// Cost that what is looked for has about at most.
     pub most: f64,
+    /// A trajectory from there, for guesses that begin with it.
+    pub known: Option<Optimized>,
+}
+
+/// The cheapest trajectory that was found from each target.
+type Best = BTreeMap<usize, Optimized>;
+
+fn keep_best(best: &mut Best, target: usize, found: &[Optimized]) {
+    for one in found {
+        if best.get(&target).is_none_or(|known| one.cost < known.cost) {
+            best.insert(target, one.clone());
+        }
+    }
+}
+
+/// Whether there are hardly others than those that were found, of costs that are of interest: of n
+/// searches that came to w minima, w (n - 1) / (n - w - 2) are to be expected (Boender and Rinnooy
+/// Kan, Mathematical Programming 37, 1987).
+fn is_all(costs: &[f64], least: f64) -> bool {
+    let mut near: Vec<f64> = (costs.iter().copied())
+        .filter(|cost| *cost < times(RIVAL, least))
+        .collect();
+    near.sort_by(f64::total_cmp);
+    let mut distinct: Vec<f64> = Vec::new();
+    for cost in &near {
+        if distinct.last().is_none_or(|last| !same(*cost, *last)) {
+            distinct.push(*cost);
+        }
+    }
+    let (n, w) = (near.len() as f64, distinct.len() as f64);
+    // Where all come to one there is nothing to count.
+    distinct.len() <= 1 || n > w + 2.0 && w * (n - 1.0) / (n - w - 2.0) < w + UNSEEN
 }
 
 /// Whether costs are about equal.
@@ -70,6 +106,7 @@ impl Survey<'_> {
         };
         // Costs of all that was found for each target.
         let mut costs: Vec<Vec<f64>> = vec![Vec::new(); self.targets.len()];
+        let mut best = Best::default();
         let mut left = targets.to_vec();
         for round in 0..ROUNDS {
             let mut found: Vec<(usize, Optimized)> = Vec::new();
@@ -79,11 +116,13 @@ impl Survey<'_> {
                         target: *t,
                         guesses: (round * count..(round + 1) * count).collect(),
                         most: f64::INFINITY,
+                        known: None,
                     })
                     .collect();
                 let rounds = self.rounds(solver, direct, asked)?;
                 for (&target, round) in together.iter().zip(rounds) {
                     costs[target].extend(round.costs);
+                    keep_best(&mut best, target, &round.found);
                     found.extend(self.promising(target, round.found));
                 }
             }
@@ -108,28 +147,36 @@ impl Survey<'_> {
             !self.is_confirmed(*t, &costs[*t], times) || costs[*t].iter().any(rivals)
         };
         let doubtful: Vec<usize> = targets.iter().copied().filter(is_doubtful).collect();
-        self.try_carried(solver, direct, &doubtful, progress)?;
+        for kind in [
+            (CARRIED_FROM, "from carried trajectories"),
+            (MOVED_FROM, "from moved trajectories"),
+        ] {
+            self.try_further(solver, direct, &doubtful, kind, &mut best, progress)?;
+        }
+        self.follow_lost(solver)?;
         Ok(doubtful)
     }
 
-    /// The same from guesses that hold their controls at first, in rounds until some in turn lead to
-    /// nothing cheaper.
-    fn try_carried(
+    /// The same from further guesses, in rounds until some in turn lead to nothing cheaper.
+    fn try_further(
         &mut self,
         solver: &mut Solver,
         direct: &Direct<'_>,
         targets: &[usize],
+        (first, what): (u64, &str),
+        best: &mut Best,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let mut left: Vec<(usize, u64)> = targets.iter().map(|t| (*t, 0)).collect();
         for round in 0..ROUNDS {
-            let first = CARRIED_FROM + round * GUESSES;
+            let first = first + round * GUESSES;
             for together in left.chunks_mut(TOGETHER) {
                 let asked = (together.iter())
                     .map(|(target, _)| Asked {
                         target: *target,
                         guesses: (first..first + GUESSES).collect(),
                         most: self.least_value(*target),
+                        known: best.get(target).cloned(),
                     })
                     .collect();
                 let rounds = self.rounds(solver, direct, asked)?;
@@ -138,6 +185,7 @@ impl Survey<'_> {
                     .collect();
                 let mut found = Vec::new();
                 for ((target, _), round) in together.iter().zip(rounds) {
+                    keep_best(best, *target, &round.found);
                     found.extend(self.promising(*target, round.found));
                 }
                 self.solve_from(solver, direct, found)?;
@@ -146,11 +194,7 @@ impl Survey<'_> {
                     *quiet = if is_cheaper { 0 } else { *quiet + 1 };
                 }
             }
-            progress(
-                "from carried trajectories",
-                self.solved(),
-                self.targets.len(),
-            );
+            progress(what, self.solved(), self.targets.len());
             left.retain(|(_, quiet)| *quiet < QUIET_ROUNDS);
             if left.is_empty() {
                 break;
@@ -177,7 +221,9 @@ impl Survey<'_> {
             .collect();
         let end = &solver.scheme.end;
         let rounds = (from.par_iter())
-            .map(|(s, asked)| direct.optimized(s, &asked.guesses, asked.most, end))
+            .map(|(s, asked)| {
+                direct.optimized(s, &asked.guesses, asked.most, asked.known.as_ref(), end)
+            })
             .collect();
         // What took longer was left out.
         solver.deadline.check()?;
@@ -198,7 +244,7 @@ impl Survey<'_> {
                 .map(|(x, r)| x - r)
                 .collect();
             let guesses: Vec<u64> = (0..GUESSES).collect();
-            let round = direct.optimized(&s, &guesses, f64::INFINITY, &solver.scheme.end);
+            let round = direct.optimized(&s, &guesses, f64::INFINITY, None, &solver.scheme.end);
             if !round.is_plain() {
                 return false;
             }
@@ -212,14 +258,25 @@ impl Survey<'_> {
         let least = self.least_value(target);
         let known = costs.iter().copied().fold(least, f64::min);
         let hits = costs.iter().filter(|cost| same(**cost, known)).count();
-        same(least, known) && hits >= times.max(costs.len() / ONE_OF)
+        same(least, known) && hits >= times.max(costs.len() / ONE_OF) && is_all(costs, known)
     }
 
-    /// The cheapest of what was found for a target, by rising cost, those that differ.
+    /// Whether a trajectory is about a solution of its target: ways about an obstacle may begin with
+    /// one adjoint, and only their costs tell them apart.
+    pub(super) fn is_solved(&self, target: usize, one: &Optimized) -> bool {
+        let mut known = self.at[target].iter().map(|e| &self.extremals[*e]);
+        known.any(|e| {
+            (e.value() - one.cost).abs() <= OFF * e.value().abs()
+                && !is_elsewhere(e, one.path.node(0), &self.scales)
+        })
+    }
+
+    /// The cheapest of what was found for a target, by rising cost, those that differ and are new.
     fn promising(&self, target: usize, mut optimized: Vec<Optimized>) -> Vec<(usize, Optimized)> {
         optimized.sort_by(|a, b| a.cost.total_cmp(&b.cost));
         let known =
             (optimized.first()).map_or(f64::INFINITY, |o| o.cost.min(self.least_value(target)));
+        optimized.retain(|one| !self.is_solved(target, one));
         let mut worth: Vec<(usize, Optimized)> = Vec::new();
         for one in optimized {
             let is_new = worth.iter().all(|(_, other)| !same(one.cost, other.cost));
@@ -231,7 +288,7 @@ impl Survey<'_> {
     }
 
     /// Solves along trajectories that were optimized; what that does not lead to is optimized with
-    /// shorter steps. What is cheaper than all solutions after that is kept, to be flown along.
+    /// shorter steps. What is cheaper than all solutions after that is kept.
     pub(super) fn solve_from(
         &mut self,
         solver: &mut Solver,
@@ -249,14 +306,18 @@ impl Survey<'_> {
         };
         found.retain(|(t, one)| is_lost(self, *t, one.cost) && is_new(self, *t, one.cost));
         let end = &solver.scheme.end;
-        let mut shorter: Vec<(f64, (usize, Optimized))> = (found.into_par_iter())
-            .filter_map(|(target, one)| Some((one.cost, (target, direct.refined(&one, end)?))))
+        let shorter: Vec<Option<Optimized>> = (found.par_iter())
+            .map(|(_, one)| direct.refined(one, end))
             .collect();
         solver.deadline.check()?;
-        shorter.retain(|(_, (target, one))| is_lost(self, *target, one.cost));
-        let (costs, shorter): (Vec<f64>, Vec<(usize, Optimized)>) = shorter.into_iter().unzip();
-        self.solve_along_all(solver, &shorter)?;
-        for (cost, (target, one)) in costs.into_iter().zip(shorter) {
+        // With their costs before.
+        let mut lost: Vec<(f64, (usize, Optimized))> = (found.into_iter().zip(shorter))
+            .map(|((target, one), shorter)| (one.cost, (target, shorter.unwrap_or(one))))
+            .collect();
+        lost.retain(|(_, (target, one))| is_lost(self, *target, one.cost));
+        let (costs, lost): (Vec<f64>, Vec<(usize, Optimized)>) = lost.into_iter().unzip();
+        self.solve_along_all(solver, &lost)?;
+        for (cost, (target, one)) in costs.into_iter().zip(lost) {
             let known = self.lost.get(&target);
             let is_cheapest = known.is_none_or(|(known, _)| cost < *known);
             if is_cheapest && is_lost(self, target, one.cost) {
@@ -264,6 +325,28 @@ impl Survey<'_> {
             }
         }
         Ok(())
+    }
+
+    /// What is cheaper than all solutions, and too rough a guess as a whole, is followed from its end;
+    /// whether that leads to any.
+    pub(super) fn follow_lost(&mut self, solver: &mut Solver) -> Result<bool, BackendError> {
+        let is_lost = |survey: &Self, target: usize, cost: f64| {
+            times(1.0 + OFF, cost) < survey.least_value(target)
+        };
+        let rough = (self.lost.iter())
+            .filter(|(t, (cost, _))| is_lost(self, **t, *cost))
+            .map(|(t, (_, path))| (*t, path.clone()));
+        let rough: Vec<_> = rough.collect();
+        if rough.is_empty() {
+            return Ok(false);
+        }
+        self.send_grown(solver, rough, FROM_OPTIMIZED)?;
+        let before = self.lost.len();
+        let lost = std::mem::take(&mut self.lost);
+        self.lost = (lost.into_iter())
+            .filter(|(t, (cost, _))| is_lost(self, *t, *cost))
+            .collect();
+        Ok(self.lost.len() < before)
     }
 
     fn solve_along_all(
@@ -276,12 +359,6 @@ impl Survey<'_> {
             tasks.extend(self.task_along(*target, one.path.clone(), FROM_OPTIMIZED));
         }
         self.send(solver, tasks)?;
-        // What is too rough a guess as a whole is followed from its end.
-        let rough = (found.iter())
-            .filter(|(t, o)| times(1.0 + OFF, o.cost) < self.least_value(*t))
-            .map(|(t, o)| (*t, o.path.clone()));
-        let rough = rough.collect();
-        self.send_grown(solver, rough, FROM_OPTIMIZED)?;
         Ok(())
     }
 }
