@@ -98,10 +98,10 @@ pub(super) fn parse_guard(text: &str) -> Result<GuardTree<'_>, SyntaxError> {
         }
         return Err(SyntaxError::new(
             0..text.len(),
-            "a guard needs a comparison",
+            "a condition needs a comparison",
             "no `<`, `<=`, `>` or `>=` here",
         )
-        .with_help("write for example \"Psi > 0\""));
+        .with_help("write for example \"x > 0\""));
     };
     let relation = *relation;
     input.next_token();

@@ -101,6 +101,10 @@ pub(super) fn after_operand(tokens: &[Token<'_>], at: usize, compared: bool) -> 
             } else {
                 shown(token.kind)
             };
+            if let Kind::Name(word @ ("and" | "or" | "not")) = token.kind {
+                let message = format!("`{word}` is no operator");
+                return SyntaxError::new(span, message, "not understood").with_help(BOTH);
+            }
             let message = format!("an operator is missing before `{}`", shown(token.kind));
             SyntaxError::new(
                 span,
@@ -120,12 +124,12 @@ pub(super) fn after_operand(tokens: &[Token<'_>], at: usize, compared: bool) -> 
             }
         }
         Kind::Relation(_) if compared => {
-            SyntaxError::new(span, "a second comparison", "one comparison a guard")
-                .with_help("write two guards")
+            SyntaxError::new(span, "a second comparison", "one comparison a condition")
+                .with_help("write two guards, or min(a, b) > 0 for a > 0 and b > 0")
         }
         Kind::Relation(_) => {
             SyntaxError::new(span, "a comparison is not a value", "not allowed here").with_help(
-                "comparisons stand between the two sides of a guard, in [guards], and nowhere else",
+                "comparisons stand between the two sides of a guard or of an event's condition, and nowhere else",
             )
         }
         Kind::Foreign(text) => foreign(text, span),
@@ -137,10 +141,17 @@ pub(super) fn after_operand(tokens: &[Token<'_>], at: usize, compared: bool) -> 
     }
 }
 
+/// How conditions are joined.
+const BOTH: &str =
+    "write min(a, b) > 0 for a > 0 and b > 0, and max(a, b) > 0 where one of them is enough";
+
 fn foreign(text: &str, span: Range<usize>) -> SyntaxError {
     let help = match text {
         "**" => "write ^ for a power",
-        "=" | "==" => "an expression is a value: it assigns and compares nothing",
+        "=" | "==" | "!=" => {
+            "an expression is a value: it assigns and compares nothing; guards and conditions of events compare by <, <=, > or >=, and an event happens where its condition comes true"
+        }
+        "&&" | "||" | "&" | "|" => BOTH,
         "=<" => "write <=",
         "=>" => "write >=",
         "\u{2212}" | "\u{2013}" => "write - (the ASCII minus sign)",

@@ -733,3 +733,74 @@ fn back_avx2(
 ) -> Option<()> {
     descent.back(slopes, weights, recursion)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario;
+
+    /// A pendulum held upright against a constraint of its torque, from states that obey nothing.
+    #[test]
+    fn gaps_shrink_along_the_dynamics_and_close() {
+        let text = r#"
+            states = { a = {}, b = {} }
+            controls = { u = { min = -6, max = 6 } }
+            dynamics = { a = "b", b = "4*sin(a) + u" }
+            cost = { running = "a^2 + 0.5*b^2 + 0.5*u^2" }
+            equilibrium = { a = 0, b = 0, u = 0 }
+            region = { a = [-1, 1], b = [-1, 1] }
+            shoot_out = { value_max = 1 }
+            "#;
+        let model = scenario::parse(text, "test", &[]).expect("a scene");
+        let rates = Rates::new(&model);
+        let steps: Vec<f64> = (0..60)
+            .map(|k| (0.02 * 1.05_f64.powi(k)).min(0.2))
+            .collect();
+        let problem = Transcription {
+            widths: vec![1.0; 2],
+            middle: vec![0.0],
+            bounds: vec![[-6.0, 6.0]],
+            end: vec![20.0, 5.0, 5.0, 3.0],
+            deadline: Deadline::default(),
+            steps,
+        };
+        let guess: Vec<Vec<f64>> = (problem.times())
+            .map(|t| vec![0.5 * (-0.5 * t).exp(), (3.0 * t).sin() * (-t).exp()])
+            .collect();
+        let mut descent = Descent::new(&rates, &problem, &guess).expect("finite");
+        let change = descent.change(1.0).expect("convex");
+        let gaps = |x: &[f64], steps: &Steps| -> Vec<f64> {
+            steps
+                .next
+                .iter()
+                .zip(&x[2..])
+                .map(|(next, x)| next - x)
+                .collect()
+        };
+        let before = gaps(&descent.x, &descent.steps);
+        for share in [1.0, 0.25] {
+            let (x, u) = descent.rolled(&change, share).expect("within bounds");
+            let steps = rates.steps(&x, &u, &problem.steps).expect("finite");
+            for (after, before) in gaps(&x, &steps).iter().zip(&before) {
+                let expected = (1.0 - share) * before;
+                assert!((after - expected).abs() < 1e-12, "{after} for {expected}");
+            }
+        }
+        descent.begin().expect("leads somewhere");
+        let found = descent.finish().expect("ends");
+        let last = &found.states[problem.count()];
+        assert!(last.iter().all(|s| s.abs() < 1e-2), "not home: {last:?}");
+        // p is the slope of what the trajectory costs: by a difference of two of them.
+        let cost = |a: f64| {
+            let mut guess = found.states.clone();
+            guess[0][0] = a;
+            let mut other = Descent::new(&rates, &problem, &guess).expect("finite");
+            other.begin().expect("leads somewhere");
+            other.finish().expect("ends").cost
+        };
+        let eps = 1e-2;
+        let slope = (cost(0.5 + eps) - cost(0.5 - eps)) / (2.0 * eps);
+        let p = found.adjoints[0][0];
+        assert!((slope - p).abs() < 1e-3 * p.abs(), "{slope} for {p}");
+    }
+}

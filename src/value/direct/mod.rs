@@ -460,3 +460,24 @@ fn between(corners: &[(f64, Vec<f64>)], t: f64) -> Vec<f64> {
     let share = ((t - from) / (to - from)).min(1.0);
     a.iter().zip(b).map(|(a, b)| a + share * (b - a)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_grow_where_modes_are_far_apart() {
+        let even = mesh(10.0, 0.5, 0.3).expect("few");
+        assert_eq!(even, vec![0.1; 100]);
+        // A thousand steps as long as the first would be needed.
+        let grown = mesh(6.0, 0.01, 0.05).expect("few enough");
+        assert_eq!(grown[0], 0.004);
+        assert!(grown.len() < 200, "{} steps", grown.len());
+        let time: f64 = grown.iter().sum();
+        assert!((6.0..6.05 + 1e-9).contains(&time), "{time}");
+        assert!(grown.windows(2).all(|w| w[1] <= GROWTH * w[0]));
+        assert!(grown.iter().all(|step| *step <= STABLE * 0.05));
+        // The open loop itself is too fast.
+        assert_eq!(mesh(10.0, 1e-4, 1e-4), None);
+    }
+}

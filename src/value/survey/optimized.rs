@@ -362,3 +362,22 @@ impl Survey<'_> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn many_minima_seldom_found_leave_others_to_be_found() {
+        assert!(is_all(&[5.0, 5.01, 4.99], 4.99), "all the same");
+        let often = [1.0, 1.0, 1.5, 1.0, 1.5, 1.0, 1.0, 1.5, 1.0, 1.0, 1.5, 1.0];
+        // 2 of 12: 2.75 are to be expected; of 24, 2.3.
+        assert!(!is_all(&often, 1.0));
+        assert!(is_all(&[often, often].concat(), 1.0));
+        let each: Vec<f64> = (0..24).map(|k| 1.0 + 0.05 * f64::from(k)).collect();
+        assert!(!is_all(&each, 1.0));
+        // What is far too dear is of no interest.
+        let dear: Vec<f64> = each.iter().map(|cost| 10.0 * cost).collect();
+        assert!(is_all(&[vec![1.0; 6], dear].concat(), 1.0));
+    }
+}

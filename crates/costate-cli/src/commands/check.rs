@@ -268,8 +268,8 @@ fn local_text(model: &Model, riccati: &Riccati, at: &At) -> Vec<String> {
 fn mechanism_text(mechanism: &MechanismSummary) -> String {
     let mut lines = vec![
         format!(
-            "\nMechanism of {} coordinates: {}",
-            mechanism.coordinates.len(),
+            "\nMechanism of {}: {}",
+            text::counted(mechanism.coordinates.len(), "coordinate"),
             mechanism.coordinates.join(", ")
         ),
         format!(

@@ -45,8 +45,8 @@ pub fn report(args: &ReportArgs) -> Result<(), CliError> {
     }
     writeln!(
         out,
-        "{} pictures: {}\n{:.2} s, written to {} ({} kB) and {}",
-        written.pictures.len(),
+        "{}: {}\n{:.2} s, written to {} ({} kB) and {}",
+        crate::text::counted(written.pictures.len(), "picture"),
         written.pictures.join(", "),
         clock.elapsed().as_secs_f64(),
         written.page.display(),
