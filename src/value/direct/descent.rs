@@ -92,6 +92,10 @@ pub(super) struct Found {
     pub adjoints: Vec<Vec<f64>>,
     /// `[step][m]`.
     pub controls: Vec<f64>,
+    /// By which controls answer deviations of the state, `[step][m][n]`.
+    pub gains: Vec<f64>,
+    /// Durations of the steps.
+    pub steps: Vec<f64>,
 }
 
 /// A guess on its way to a trajectory.
@@ -297,12 +301,15 @@ impl<'a> Descent<'a> {
 
     fn end(mut self) -> Option<Found> {
         self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, DONE)?;
+        let gains = self.change(BARRIERS[BARRIERS.len() - 1])?.gains;
         let rows = |v: &[f64]| v.chunks(self.rates.states).map(<[f64]>::to_vec).collect();
         (self.largest_gap() < CLOSED).then(|| Found {
             cost: self.cost_of(&self.x, &self.steps),
             states: rows(&self.x),
             adjoints: rows(&self.p),
             controls: self.u,
+            gains,
+            steps: self.problem.steps.clone(),
         })
     }
 
@@ -790,17 +797,25 @@ mod tests {
         let found = descent.finish().expect("ends");
         let last = &found.states[problem.count()];
         assert!(last.iter().all(|s| s.abs() < 1e-2), "not home: {last:?}");
-        // p is the slope of what the trajectory costs: by a difference of two of them.
-        let cost = |a: f64| {
+        // By a difference of two trajectories: p is the slope of the cost, and gains are those of
+        // the controls.
+        let other = |a: f64| {
             let mut guess = found.states.clone();
             guess[0][0] = a;
             let mut other = Descent::new(&rates, &problem, &guess).expect("finite");
             other.begin().expect("leads somewhere");
-            other.finish().expect("ends").cost
+            other.finish().expect("ends")
         };
         let eps = 1e-2;
-        let slope = (cost(0.5 + eps) - cost(0.5 - eps)) / (2.0 * eps);
+        let (above, below) = (other(0.5 + eps), other(0.5 - eps));
+        let slope = (above.cost - below.cost) / (2.0 * eps);
         let p = found.adjoints[0][0];
         assert!((slope - p).abs() < 1e-3 * p.abs(), "{slope} for {p}");
+        let slope = (above.controls[0] - below.controls[0]) / (2.0 * eps);
+        let gain = found.gains[0];
+        assert!(
+            (slope - gain).abs() < 0.01 * gain.abs(),
+            "{slope} for {gain}"
+        );
     }
 }

@@ -44,6 +44,10 @@ const LEAST_PARTS: usize = 2;
 const MOST_PARTS: usize = 8;
 /// By which sums of times may be off.
 const ROUNDING: f64 = 1e-9;
+/// Parts of a step in which controls are simulated, and how far from where the local solution is
+/// good, in V, they may end; what is left costs at most this much more than the local V.
+const FLOWN: u32 = 4;
+const HOME: f64 = 2.0;
 /// Share of the usual duration that its segments have.
 const SHORT: f64 = 1.0 / 16.0;
 /// What costs more than this many times the least is not followed to its end.
@@ -384,6 +388,33 @@ impl<'a> Direct<'a> {
         x.extend_from_slice(&states[count]);
         let found = Descent::from(&self.rates, &problem, x, u)?.mend()?;
         Some((found, problem))
+    }
+
+    /// What the controls of a trajectory cost where they are simulated, with what answers deviations
+    /// from it; `None` where they do not lead home.
+    pub fn attained(&self, one: &Optimized) -> Option<f64> {
+        let (local, found) = (self.plan.local.as_ref()?, &one.found);
+        let (n, m) = (self.rates.states, self.rates.controls);
+        let (mut x, mut cost) = (found.states[0].clone(), 0.0);
+        for (k, step) in found.steps.iter().enumerate() {
+            for part in 0..FLOWN {
+                let share = f64::from(part) / f64::from(FLOWN);
+                let (before, after) = (&found.states[k], &found.states[k + 1]);
+                let off = |j: usize| x[j] - before[j] - share * (after[j] - before[j]);
+                let control = |i: usize| {
+                    let gain = &found.gains[(k * m + i) * n..][..n];
+                    let answer: f64 = (0..n).map(|j| gain[j] * off(j)).sum();
+                    let [lo, hi] = self.problem.bounds[i];
+                    (found.controls[k * m + i] + answer).clamp(lo, hi)
+                };
+                let u: Vec<f64> = (0..m).map(control).collect();
+                let flown = self.rates.steps(&x, &u, &[step / f64::from(FLOWN)])?;
+                cost += flown.cost[0];
+                x = flown.next;
+            }
+        }
+        let left = local.quadratic(&x);
+        (left <= HOME * local.seed_value).then_some(cost + HOME * left)
     }
 
     /// The first node that is near the equilibrium; the last one where none is.

@@ -1,7 +1,7 @@
 //! Whether any control that is known costs less than the least V found: laws are flown from every
 //! solved target.
 
-use super::{Progress, SHORT, Survey, times};
+use super::{Lost, Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
 use crate::value::extremal::{expected_value, misfit};
@@ -23,6 +23,8 @@ struct Undercutting {
     target: usize,
     cost: f64,
     path: Path,
+    /// Whether it was tried to solve along it before.
+    is_tried: bool,
 }
 
 /// How well it is supported that the least V found at a target is the least there is.
@@ -114,6 +116,7 @@ impl Survey<'_> {
                     target,
                     cost: flown.cost,
                     path,
+                    is_tried: false,
                 });
             }
         }
@@ -206,7 +209,7 @@ impl Survey<'_> {
             })
             .collect();
         // What was optimized and not solved for comes first.
-        for (target, (_, path)) in &self.lost {
+        for (target, Lost { path, .. }) in &self.lost {
             let k = place[*target];
             if k >= targets.len() {
                 continue;
@@ -223,11 +226,23 @@ impl Survey<'_> {
         let mut found = Vec::new();
         for (&target, said) in targets.iter().zip(said) {
             self.flights[target] += said.flown as u32;
-            let Some(path) = said.path else { continue };
+            // The controls that were optimized are simulated on their own steps, too.
+            let least = self.least_value(target);
+            let attained = self.lost.get(&target).and_then(|lost| {
+                let cost = lost.attained?;
+                let is_cheaper = cost < least - tolerance(self.plan, least) && cost < said.cost;
+                is_cheaper.then(|| (cost, lost.path.clone()))
+            });
+            let is_tried = attained.is_some();
+            let flown = said.path.map(|path| (said.cost, path));
+            let Some((cost, path)) = attained.or(flown) else {
+                continue;
+            };
             found.push(Undercutting {
                 target,
-                cost: said.cost,
+                cost,
                 path,
+                is_tried,
             });
         }
         self.admissible(solver, found)
@@ -247,7 +262,7 @@ impl Survey<'_> {
         // With the costates that the laws gave, and with those that belong to the states.
         let rate = adjoint_rate(self.plan);
         let mut tasks = Vec::new();
-        for u in &undercut {
+        for u in undercut.iter().filter(|u| !u.is_tried) {
             let carried = with_adjoints(u.path.clone(), u.path.segments(), &rate);
             for path in [u.path.clone(), carried] {
                 tasks.extend(self.task_along(u.target, path, SHORT));
@@ -255,7 +270,7 @@ impl Survey<'_> {
         }
         self.send(solver, tasks)?;
         // What is too rough a guess as a whole is followed from its end.
-        let rough = undercut.iter().filter(|u| self.is_undercut(u));
+        let rough = (undercut.iter()).filter(|u| !u.is_tried && self.is_undercut(u));
         let rough = rough.map(|u| (u.target, u.path.clone())).collect();
         self.send_grown(solver, rough, SHORT)?;
         let mut lower = Vec::new();

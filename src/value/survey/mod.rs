@@ -132,8 +132,8 @@ pub struct Survey<'a> {
     /// Cost of a flight along the answer itself, of listed states.
     flown: Vec<Option<f64>>,
     /// Of targets the cheapest trajectory that was optimized directly, costs less than what is
-    /// known, and led to no solution; its cost before its steps were shortened.
-    lost: BTreeMap<usize, (f64, Path)>,
+    /// known, and led to no solution.
+    lost: BTreeMap<usize, Lost>,
     /// Ways from targets to neighbours that were tried at once.
     leapt: Followed,
     /// Trajectories from which ways to a target were tried.
@@ -152,6 +152,15 @@ pub struct Survey<'a> {
     /// In a game, where extremals with a fold along them are none.
     /// (Locked only so that a survey may be read by several threads.)
     conjugate: Option<Mutex<ConjugatePoints>>,
+}
+
+/// A trajectory that was optimized directly and led to no solution.
+struct Lost {
+    /// Its cost before its steps were shortened.
+    cost: f64,
+    /// What its controls cost where they are simulated.
+    attained: Option<f64>,
+    path: Path,
 }
 
 /// Told what is done and how many targets are solved of how many.

@@ -1,6 +1,6 @@
 //! Guesses for single states from trajectories that are optimized directly.
 
-use super::{Progress, Survey, times};
+use super::{Lost, Progress, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::Solver;
 use crate::value::direct::{CARRIED_FROM, Direct, MOVED_FROM, Optimized, Round};
@@ -302,7 +302,7 @@ impl Survey<'_> {
         // What was shortened in vain before need not be again.
         let is_new = |survey: &Self, target: usize, cost: f64| {
             let known = survey.lost.get(&target);
-            known.is_none_or(|(known, _)| (known - cost).abs() > OFF * cost.abs())
+            known.is_none_or(|known| (known.cost - cost).abs() > OFF * cost.abs())
         };
         found.retain(|(t, one)| is_lost(self, *t, one.cost) && is_new(self, *t, one.cost));
         let end = &solver.scheme.end;
@@ -319,9 +319,16 @@ impl Survey<'_> {
         self.solve_along_all(solver, &lost)?;
         for (cost, (target, one)) in costs.into_iter().zip(lost) {
             let known = self.lost.get(&target);
-            let is_cheapest = known.is_none_or(|(known, _)| cost < *known);
+            let is_cheapest = known.is_none_or(|known| cost < known.cost);
             if is_cheapest && is_lost(self, target, one.cost) {
-                self.lost.insert(target, (cost, one.path));
+                let attained = direct.attained(&one);
+                let path = one.path;
+                let lost = Lost {
+                    cost,
+                    attained,
+                    path,
+                };
+                self.lost.insert(target, lost);
             }
         }
         Ok(())
@@ -334,8 +341,8 @@ impl Survey<'_> {
             times(1.0 + OFF, cost) < survey.least_value(target)
         };
         let rough = (self.lost.iter())
-            .filter(|(t, (cost, _))| is_lost(self, **t, *cost))
-            .map(|(t, (_, path))| (*t, path.clone()));
+            .filter(|(t, lost)| is_lost(self, **t, lost.cost))
+            .map(|(t, lost)| (*t, lost.path.clone()));
         let rough: Vec<_> = rough.collect();
         if rough.is_empty() {
             return Ok(false);
@@ -344,7 +351,7 @@ impl Survey<'_> {
         let before = self.lost.len();
         let lost = std::mem::take(&mut self.lost);
         self.lost = (lost.into_iter())
-            .filter(|(t, (cost, _))| is_lost(self, *t, *cost))
+            .filter(|(t, lost)| is_lost(self, *t, lost.cost))
             .collect();
         Ok(self.lost.len() < before)
     }
