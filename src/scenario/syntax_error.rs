@@ -129,7 +129,7 @@ pub(super) fn after_operand(tokens: &[Token<'_>], at: usize, compared: bool) -> 
         }
         Kind::Relation(_) => {
             SyntaxError::new(span, "a comparison is not a value", "not allowed here").with_help(
-                "comparisons stand between the two sides of a guard or of an event's condition, and nowhere else",
+                "comparisons stand between the two sides of a guard, in [guards], or of an event's condition, and nowhere else",
             )
         }
         Kind::Foreign(text) => foreign(text, span),

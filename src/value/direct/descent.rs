@@ -669,10 +669,12 @@ impl<'a> Descent<'a> {
                 let steps = self.rates.steps(&x, &u, &self.problem.steps)?;
                 (self.merit(&x, &u, &steps, barrier) < now).then_some((x, u, steps))
             };
-            let rolled = || self.rolled(change, share).filter(|_| halving < ROLLED);
-            if let Some((x, u, steps)) = straight()
-                .and_then(less)
-                .or_else(|| rolled().and_then(less))
+            let rolled = || match halving < ROLLED {
+                true => self.rolled(change, share),
+                false => None,
+            };
+            if let Some((x, u, steps)) =
+                (straight().and_then(less)).or_else(|| rolled().and_then(less))
             {
                 self.advance_duals(change, barrier);
                 (self.x, self.u, self.steps) = (x, u, steps);
