@@ -51,9 +51,14 @@ pub fn largest_of(scales: &[f64], of: impl Fn(usize) -> f64) -> f64 {
 
 /// Whether two solutions from the same state are one.
 pub fn same(a: &[f64], b: &[f64], scales: &[f64]) -> bool {
+    alike(a, b, scales, SAME)
+}
+
+/// Whether two adjoints differ by at most a share of the largest component.
+pub fn alike(a: &[f64], b: &[f64], scales: &[f64], share: f64) -> bool {
     let (a, b) = (scaled(a, scales), scaled(b, scales));
     let size = largest(a.iter().chain(&b).copied());
-    largest(a.iter().zip(&b).map(|(x, y)| x - y)) <= SAME * size
+    largest(a.iter().zip(&b).map(|(x, y)| x - y)) <= share * size
 }
 
 /// How far two neighbours are from being joined by a smooth sheet: below 1 they fit.

@@ -460,7 +460,8 @@ fn solve_here(
         Err(BackendError::OutOfTime) if request.partial => survey.cut_short(),
         done => done?,
     }
-    let boundary = if request.one_sheet || plan.game || survey.stopped {
+    let is_left_out = request.one_sheet || plan.game || survey.stopped || survey.is_crowded;
+    let boundary = if is_left_out {
         Vec::new()
     } else {
         match survey.equal_cost(solver, wanted) {

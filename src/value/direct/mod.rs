@@ -7,6 +7,7 @@
 //! primal-dual logarithmic barrier that is lowered (Waechter and Biegler 2006).
 
 mod descent;
+mod mirrors;
 mod stage;
 
 use crate::backend::Deadline;
@@ -17,6 +18,7 @@ use crate::sweep::Plan;
 use crate::value::flight::homeward;
 use crate::value::survey::times;
 use descent::{Descent, Found, Transcription};
+use mirrors::Mirror;
 use rayon::prelude::*;
 use stage::Rates;
 
@@ -58,6 +60,11 @@ const DEAR: f64 = 3.0;
 pub const MOVED_FROM: u64 = 1 << 33;
 const MOVES: [f64; 3] = [0.05, 0.15, 0.4];
 
+/// What is left of the distance from where a trajectory began, in the time of the slowest mode:
+/// exp(-this). How many times as dear as what is known it may be once it is begun.
+const HANDED: f64 = 1.0;
+const WORTH: f64 = 1.3;
+
 /// Numbers of guesses from which on they hold their controls at first, within this share of the way to
 /// their bounds; and how far they may be carried, in widths.
 pub const CARRIED_FROM: u64 = 1 << 32;
@@ -69,6 +76,7 @@ pub struct Direct<'a> {
     plan: &'a Plan,
     rates: Rates,
     problem: Transcription,
+    mirrors: Vec<Mirror>,
     /// Whether its steps grow.
     grows: bool,
     /// Time of the slowest mode.
@@ -143,6 +151,7 @@ impl<'a> Direct<'a> {
         };
         Some(Self {
             plan,
+            mirrors: mirrors::mirrors(&rates, &problem),
             rates,
             problem,
             grows,
@@ -223,6 +232,33 @@ impl<'a> Direct<'a> {
         }
     }
 
+    /// Images of a state, a deviation, in the problem's mirrors, each with its mirror's number.
+    pub fn images(&self, s: &[f64]) -> Vec<(usize, Vec<f64>)> {
+        (self.mirrors.iter().enumerate())
+            .map(|(k, mirror)| (k, mirror.of(s)))
+            .collect()
+    }
+
+    /// A path's image in a mirror: it costs the same.
+    pub fn image(&self, path: &Path, mirror: usize) -> Path {
+        let mut path = path.clone();
+        let signs = self.mirrors[mirror].states.iter().cycle();
+        path.nodes
+            .iter_mut()
+            .zip(signs)
+            .for_each(|(v, sign)| *v *= sign);
+        path
+    }
+
+    /// The image of what was optimized.
+    pub fn mirrored(&self, one: &Optimized, mirror: usize) -> Optimized {
+        Optimized {
+            cost: one.cost,
+            path: self.image(&one.path, mirror),
+            found: self.mirrors[mirror].trajectory(&one.found, &self.problem.middle),
+        }
+    }
+
     /// A state and its copies by a period, as far as they may lead to the equilibrium at less cost.
     fn copies(&self, s: &[f64]) -> Vec<Vec<f64>> {
         let mut copies = vec![homeward(s, &self.plan.recurrent)];
@@ -283,13 +319,56 @@ impl<'a> Direct<'a> {
         let amplitude: Vec<f64> = (self.plan.widths.iter().zip(2u64..))
             .map(|(width, j)| size * width * (2.0 * number(j) - 1.0))
             .collect();
-        let times = self.problem.times().map(|t| t / self.slow);
-        let x = (times.zip(&known.found.states)).flat_map(|(t, state)| {
-            let bump = (-decay * t).exp() * (swing * t).sin();
-            (state.iter().zip(&amplitude)).map(move |(s, a)| s + a * bump)
+        self.along(known, &amplitude, |t| {
+            (-decay * t).exp() * (swing * t).sin()
+        })
+    }
+
+    /// A trajectory that was found, moved in a direction by what a time, in that of the slowest mode,
+    /// says.
+    fn along(
+        &self,
+        known: &Optimized,
+        direction: &[f64],
+        by: impl Fn(f64) -> f64,
+    ) -> Option<Descent<'_>> {
+        let shares = self.problem.times().map(|t| by(t / self.slow));
+        let x = (shares.zip(&known.found.states)).flat_map(|(share, state)| {
+            (state.iter().zip(direction)).map(move |(s, d)| s + share * d)
         });
         let controls = known.found.controls.clone();
         Descent::from(&self.rates, &self.problem, x.collect(), controls)
+    }
+
+    /// What a trajectory from elsewhere comes to from a state, a deviation, if that costs not much
+    /// more than `most`: at first it is moved there, by what fades.
+    pub fn handed(&self, known: &Optimized, s: &[f64], most: f64, end: &End) -> Option<Optimized> {
+        let from = known.found.states[0].iter();
+        let apart: Vec<f64> = s.iter().zip(from).map(|(s, from)| s - from).collect();
+        let apart = homeward(&apart, &self.plan.recurrent);
+        let descent = self.along(known, &apart, |t| (-HANDED * t).exp())?;
+        self.followed(descent, most, end)
+    }
+
+    /// What the states of a path come to, if that costs not much more than `most`.
+    pub fn smoothed(&self, path: &Path, most: f64, end: &End) -> Option<Optimized> {
+        let n = self.rates.states;
+        let mut corners = vec![(0.0, path.start().to_vec())];
+        for (k, duration) in path.durations.iter().enumerate() {
+            let at = corners[k].0 + duration;
+            corners.push((at, path.node(k + 1)[..n].to_vec()));
+        }
+        let guess: Vec<Vec<f64>> = self.problem.times().map(|t| between(&corners, t)).collect();
+        self.followed(Descent::new(&self.rates, &self.problem, &guess)?, most, end)
+    }
+
+    /// What a guess comes to, if that costs not much more than `most`.
+    fn followed(&self, mut descent: Descent<'_>, most: f64, end: &End) -> Option<Optimized> {
+        descent.begin()?;
+        if descent.cost() > times(WORTH, most) {
+            return None;
+        }
+        self.shown(descent.finish()?, end)
     }
 
     /// States along a guess: ways to the equilibrium that decay, swing, or go by another state.

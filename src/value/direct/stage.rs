@@ -186,6 +186,26 @@ impl Rates {
         }
     }
 
+    /// f and L at a point `(s, u)`.
+    pub fn at(&self, point: &[f64]) -> Vec<f64> {
+        self.rates.eval(point, point.len())
+    }
+
+    /// Pairs among `(s, u)` that are coupled about the equilibrium: one in the rate of the other, or
+    /// both in a product in the running cost.
+    pub fn couplings(&self, controls: &[f64]) -> Vec<(usize, usize)> {
+        let (n, width) = (self.states, self.states + self.controls);
+        let slopes = (self.derivatives).eval(&[&vec![0.0; n], controls].concat(), width);
+        let of = |row: usize, to: usize| {
+            let row = &slopes[row * width..][..width];
+            let coupled = (row.iter().enumerate()).filter(|(_, slope)| **slope != 0.0);
+            coupled.map(move |(by, _)| (to, by))
+        };
+        let rates = (0..n).flat_map(|i| of(i, i));
+        let costs = (0..width).flat_map(|i| of(n + 1 + i, i));
+        rates.chain(costs).collect()
+    }
+
     /// Steps of the classical fourth-order method from `x`, `[step][n]`, under `u`, `[step][m]`;
     /// `None` where one is not finite.
     pub fn steps(&self, x: &[f64], u: &[f64], h: &[f64]) -> Option<Steps> {

@@ -4,9 +4,11 @@
 use super::{Lost, Progress, SHORT, Survey, times};
 use crate::backend::BackendError;
 use crate::shooting::{Path, Solver};
+use crate::value::direct::Optimized;
 use crate::value::extremal::{expected_value, misfit};
 use crate::value::flight::{Claim, Pilot, along_itself, precise, tolerance, undercut};
 use crate::value::grow::{adjoint_rate, with_adjoints};
+use rayon::prelude::*;
 
 /// Rounds in which what undercut a target was solved for.
 const ROUNDS: usize = 4;
@@ -68,6 +70,7 @@ impl Survey<'_> {
             }
             progress("undercut by flights", self.solved(), self.targets.len());
             open = self.solve_for(solver, undercut)?;
+            open.extend(self.lowered_by_images(solver)?);
         }
         let mut listed: Vec<usize> = (0..self.targets.len())
             .filter(|t| !self.targets.gridded[*t])
@@ -85,6 +88,21 @@ impl Survey<'_> {
             listed = self.solve_for(solver, undercut)?;
         }
         Ok(())
+    }
+
+    /// Targets that have a lower V from mirror images of what was found.
+    fn lowered_by_images(&mut self, solver: &mut Solver) -> Result<Vec<usize>, BackendError> {
+        let Some(direct) = self.hands_on().then(|| self.direct.take()).flatten() else {
+            return Ok(Vec::new());
+        };
+        let lower = self.solve_images(solver, &direct)?;
+        for target in &lower {
+            let value = self.least_value(*target);
+            let bound = &mut self.bounds[*target];
+            *bound = bound.filter(|bound| value > times(1.0 + ABOVE, *bound));
+        }
+        self.direct = Some(direct);
+        Ok(lower)
     }
 
     /// Flies along the answers at targets; those undercut, as they part from their answer for
@@ -261,8 +279,15 @@ impl Survey<'_> {
             .collect();
         // With the costates that the laws gave, and with those that belong to the states.
         let rate = adjoint_rate(self.plan);
+        let hands_on = self.hands_on() && self.direct.is_some();
+        if hands_on {
+            self.smooth(solver, &undercut)?;
+        }
         let mut tasks = Vec::new();
-        for u in undercut.iter().filter(|u| !u.is_tried) {
+        let open: Vec<&Undercutting> = (undercut.iter())
+            .filter(|u| !u.is_tried && !hands_on)
+            .collect();
+        for u in &open {
             let carried = with_adjoints(u.path.clone(), u.path.segments(), &rate);
             for path in [u.path.clone(), carried] {
                 tasks.extend(self.task_along(u.target, path, SHORT));
@@ -270,7 +295,7 @@ impl Survey<'_> {
         }
         self.send(solver, tasks)?;
         // What is too rough a guess as a whole is followed from its end.
-        let rough = (undercut.iter()).filter(|u| !u.is_tried && self.is_undercut(u));
+        let rough = open.into_iter().filter(|u| self.is_undercut(u));
         let rough = rough.map(|u| (u.target, u.path.clone())).collect();
         self.send_grown(solver, rough, SHORT)?;
         let mut lower = Vec::new();
@@ -283,6 +308,26 @@ impl Survey<'_> {
             }
         }
         Ok(lower)
+    }
+
+    /// Solves from what flights come to by direct optimization: in many dimensions their paths are too
+    /// rough for Newton's method, and long to follow from their ends.
+    fn smooth(
+        &mut self,
+        solver: &mut Solver,
+        undercut: &[Undercutting],
+    ) -> Result<(), BackendError> {
+        let Some(direct) = self.direct.take() else {
+            return Ok(());
+        };
+        let end = &solver.scheme.end;
+        let found: Vec<(usize, Optimized)> = (undercut.par_iter().filter(|u| !u.is_tried))
+            .filter_map(|u| Some((u.target, direct.smoothed(&u.path, u.cost, end)?)))
+            .collect();
+        solver.deadline.check()?;
+        self.solve_from(solver, &direct, found)?;
+        self.direct = Some(direct);
+        Ok(())
     }
 
     fn is_undercut(&self, by: &Undercutting) -> bool {

@@ -1,14 +1,17 @@
 //! Guesses for states of a grid from trajectories that are optimized directly, where nothing shows
 //! which extremals there are: as many states as there is need for.
 
-use super::optimized::Asked;
+use super::handed::{Known, Origin};
+use super::optimized::{Asked, Best};
 use super::spread::Effort;
 use super::{Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
 use crate::numeric::random::uniform;
 use crate::shooting::Solver;
-use crate::value::direct::{CARRIED_FROM, Optimized, Round};
+use crate::value::direct::{CARRIED_FROM, Direct, Optimized, Round};
 
+/// What is told to be done.
+const FROM: &str = "from optimized trajectories";
 /// States that are looked at together.
 const TOGETHER: usize = 8;
 /// Guesses for a state: the first ones are the same for all, the others, some of which hold their
@@ -27,19 +30,25 @@ const PLAIN: usize = TOGETHER;
 const ABOVE: f64 = 1.01;
 /// A state is found cheaper by this share of its cost.
 const CHEAPER: f64 = 1e-6;
+/// From so many states of a system on trajectories are optimized at neighbours: a solution that is
+/// continued there takes many times as long, and meets more folds.
+const MANY_STATES: usize = 5;
+/// Times that the states are looked at there.
+const PASSES: u64 = 6;
 
 impl Survey<'_> {
     /// Looks for cheaper ways from states of a grid, at random places, until so many in turn have
-    /// none; what is found is tried at the neighbours.
+    /// none, beginning with what is known from some; what is found is tried at the neighbours: in few dimensions solutions are continued
+    /// there, in many trajectories are optimized from there. Whether there are
+    /// more sheets than are worth following.
     pub(super) fn search_in_company(
         &mut self,
         solver: &mut Solver,
+        direct: &Direct<'_>,
         wanted: Wanted,
+        begun: Best,
         progress: Progress<'_>,
-    ) -> Result<(), BackendError> {
-        let Some(direct) = self.direct.take() else {
-            return Ok(());
-        };
+    ) -> Result<bool, BackendError> {
         let mut order: Vec<usize> = (0..self.targets.len())
             .filter(|t| self.targets.gridded[*t] && !self.is_refused(*t))
             .filter(|t| !solver.scheme.end.covers(&self.state(*t, 0)))
@@ -48,46 +57,96 @@ impl Survey<'_> {
             let place = |t: &usize| uniform(*t as u64, 0);
             place(a).total_cmp(&place(b))
         });
+        let hands_on = self.hands_on();
+        let mut known = self.known(direct, &order);
+        for (target, one) in begun {
+            self.learn(&mut known, target, vec![one], Origin::Search);
+        }
         let (mut quiet, mut looked) = (0, 0);
         let mut is_plain = true;
-        for together in order.chunks(TOGETHER) {
-            let is_done = quiet >= QUIET || is_plain && looked >= PLAIN;
-            let now: Vec<usize> = (together.iter().copied())
-                .filter(|t| !is_done || self.is_wanting(*t))
-                .collect();
-            if now.is_empty() {
-                continue;
+        for pass in 0..if hands_on { PASSES } else { 1 } {
+            for together in order.chunks(TOGETHER) {
+                let is_done = quiet >= QUIET.min(order.len()) || is_plain && looked >= PLAIN;
+                let now: Vec<usize> = (together.iter().copied())
+                    .filter(|t| !is_done || self.is_wanting(*t) && known.is_empty_at(*t))
+                    .collect();
+                if now.is_empty() {
+                    continue;
+                }
+                let asked = self.in_turn(&now, looked as u64, pass, &known);
+                let rounds = self.rounds(solver, direct, asked)?;
+                let count = now.len();
+                looked += count;
+                is_plain &= rounds.iter().all(Round::is_plain);
+                let mut cheaper = 0;
+                if hands_on {
+                    for (target, round) in now.iter().zip(rounds) {
+                        let is_cheaper =
+                            self.learn(&mut known, *target, round.found, Origin::Search);
+                        cheaper += usize::from(is_cheaper);
+                    }
+                    self.hand_on(solver, direct, &mut known)?;
+                    progress(FROM, self.solved(), self.targets.len());
+                } else {
+                    let found = rounds.into_iter().map(|round| round.found);
+                    cheaper = self.solve_at_once(solver, direct, now.into_iter().zip(found))?;
+                }
+                if cheaper == 0 {
+                    quiet += count;
+                    continue;
+                }
+                (quiet, is_plain) = (0, false);
+                if !hands_on {
+                    self.spread(solver, wanted, Effort::Neighbours, progress)?;
+                    progress(FROM, self.solved(), self.targets.len());
+                }
             }
-            let asked = self.in_turn(&now, looked as u64);
-            let rounds = self.rounds(solver, &direct, asked)?;
-            looked += now.len();
-            is_plain &= rounds.iter().all(Round::is_plain);
-            let before: Vec<f64> = now.iter().map(|t| self.least_value(*t)).collect();
-            let mut found = Vec::new();
-            for (&target, round) in now.iter().zip(rounds) {
-                found.extend(self.unknown(target, round.found));
-            }
-            self.solve_from(solver, &direct, found)?;
-            let is_cheaper =
-                |(t, before): (&usize, f64)| self.least_value(*t) < times(1.0 - CHEAPER, before);
-            let cheaper = now.iter().zip(before).filter(|x| is_cheaper(*x)).count();
-            if cheaper == 0 {
-                quiet += now.len();
-                continue;
-            }
-            (quiet, is_plain) = (0, false);
+        }
+        let found = self.still_unknown(known);
+        let is_crowded = hands_on && !is_plain;
+        // Sheets are too many to be joined by ways between their states.
+        let wanted = Wanted {
+            sheets: wanted.sheets && !is_crowded,
+            ..wanted
+        };
+        if !found.is_empty() {
+            self.solve_from(solver, direct, found)?;
+            progress(FROM, self.solved(), self.targets.len());
             self.spread(solver, wanted, Effort::Neighbours, progress)?;
-            progress(
-                "from optimized trajectories",
-                self.solved(),
-                self.targets.len(),
-            );
         }
         if self.follow_lost(solver)? {
             self.spread(solver, wanted, Effort::Neighbours, progress)?;
         }
-        self.direct = Some(direct);
-        Ok(())
+        if hands_on {
+            self.solve_images(solver, direct)?;
+        }
+        Ok(is_crowded)
+    }
+
+    /// Whether trajectories are handed on from state to state, rather than solutions.
+    pub(super) fn hands_on(&self) -> bool {
+        self.targets.states >= MANY_STATES
+    }
+
+    /// Solves from what was found; at how many states that is less than what was known.
+    fn solve_at_once(
+        &mut self,
+        solver: &mut Solver,
+        direct: &Direct<'_>,
+        found: impl Iterator<Item = (usize, Vec<Optimized>)>,
+    ) -> Result<usize, BackendError> {
+        let mut before: Vec<(usize, f64)> = Vec::new();
+        let mut unknown = Vec::new();
+        for (target, found) in found {
+            before.push((target, self.least_value(target)));
+            let found = self.unknown(target, found).into_iter();
+            unknown.extend(found.map(|one| (target, one)));
+        }
+        self.solve_from(solver, direct, unknown)?;
+        let is_cheaper = |(t, before): &&(usize, f64)| {
+            before.is_finite() && self.least_value(*t) < times(1.0 - CHEAPER, *before)
+        };
+        Ok(before.iter().filter(is_cheaper).count())
     }
 
     /// Whether a state has no solution, and is of interest however much it costs.
@@ -95,17 +154,20 @@ impl Survey<'_> {
         self.is_open(target) && self.targets.limits[target] == f64::INFINITY
     }
 
-    /// Guesses for targets, as the next ones in turn.
-    fn in_turn(&self, targets: &[usize], turn: u64) -> Vec<Asked> {
+    /// Guesses for targets, as the next ones in turn; at first those that are the same for all.
+    fn in_turn(&self, targets: &[usize], turn: u64, pass: u64, known: &Known) -> Vec<Asked> {
         (targets.iter().enumerate())
             .map(|(k, target)| {
-                let turn = (turn + k as u64) % TURNS;
+                let turn = pass * TURNS + (turn + k as u64) % TURNS;
+                let first = if pass == 0 { 0..FIRST } else { 0..0 };
                 let further = (0..FURTHER).map(|g| FIRST + turn * FURTHER + g);
                 let carried = (0..CARRIED).map(|g| CARRIED_FROM + turn * CARRIED + g);
                 Asked {
                     target: *target,
-                    guesses: (0..FIRST).chain(further).chain(carried).collect(),
-                    most: self.least_value(*target).min(self.targets.limits[*target]),
+                    guesses: first.chain(further).chain(carried).collect(),
+                    most: self
+                        .least_known(known, *target)
+                        .min(self.targets.limits[*target]),
                     known: None,
                 }
             })
@@ -114,11 +176,10 @@ impl Survey<'_> {
 
     /// Trajectories that may cost less than what is known at their target, and are none of it: ways
     /// about an obstacle may begin with one adjoint, and only their costs tell them apart.
-    fn unknown(&self, target: usize, found: Vec<Optimized>) -> Vec<(usize, Optimized)> {
+    fn unknown(&self, target: usize, found: Vec<Optimized>) -> Vec<Optimized> {
         let most = times(ABOVE, self.least_value(target));
         (found.into_iter())
             .filter(|o| o.cost <= most && !self.is_solved(target, o))
-            .map(|o| (target, o))
             .collect()
     }
 }

@@ -15,6 +15,7 @@ mod company;
 mod covered;
 mod folds;
 mod greedy;
+mod handed;
 mod label;
 mod local;
 mod optimized;
@@ -45,6 +46,7 @@ use crate::dynamic_programming::GridValue;
 use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
+use optimized::Best;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use spread::{Effort, Followed};
@@ -89,9 +91,14 @@ impl Wanted {
     }
 }
 
-/// A cost made larger by a factor of its size: negative costs exist.
+/// A cost made larger by a factor of its size: negative costs exist. Less than what is infinite is
+/// infinite.
 pub(in crate::low_level::value) fn times(factor: f64, cost: f64) -> f64 {
-    cost + (factor - 1.0) * cost.abs()
+    if cost.is_finite() {
+        cost + (factor - 1.0) * cost.abs()
+    } else {
+        cost
+    }
 }
 
 /// Sheets are looked for up to this many times the V of interest, unless the scene says how far.
@@ -142,6 +149,8 @@ pub struct Survey<'a> {
     pub uncovered: Vec<f64>,
     /// Whether the deadline cut the search short.
     pub stopped: bool,
+    /// Whether there are too many sheets to be followed over the states.
+    pub is_crowded: bool,
     /// Where single states are to be solved for from trajectories that are optimized directly.
     pub(in crate::low_level::value) direct: Option<Direct<'a>>,
     pub(super) joined: Sheets,
@@ -225,6 +234,7 @@ impl<'a> Survey<'a> {
             leapt: Followed::default(),
             tried: FxHashSet::default(),
             stopped: false,
+            is_crowded: false,
             direct: None,
             joined: Sheets::default(),
             lifted: Vec::new(),
@@ -244,7 +254,7 @@ impl<'a> Survey<'a> {
         solver: &mut Solver,
         archive: &Archive,
         mut cover: Option<&mut Cover<'_>>,
-        wanted: Wanted,
+        mut wanted: Wanted,
         mut second: GridGuesses<'_>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
@@ -266,7 +276,12 @@ impl<'a> Survey<'a> {
             GridGuesses::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
-        self.search_in_company(solver, wanted, progress)?;
+        if let Some(direct) = self.direct.take() {
+            let best = Best::default();
+            self.is_crowded = self.search_in_company(solver, &direct, wanted, best, progress)?;
+            wanted.sheets &= !self.is_crowded;
+            self.direct = Some(direct);
+        }
         self.fly_in_company(solver, wanted, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
         // Nothing behind a fold counts in a game.
@@ -657,5 +672,17 @@ impl<'a> Survey<'a> {
                 cut: None,
             });
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::times;
+
+    #[test]
+    fn a_share_of_what_is_unknown_is_unknown() {
+        assert_eq!(times(0.5, f64::INFINITY), f64::INFINITY);
+        assert!(5.0 < times(1.0 - 1e-6, f64::INFINITY));
+        assert_eq!((times(1.5, 2.0), times(1.5, -2.0)), (3.0, -1.0));
     }
 }

@@ -11,6 +11,8 @@ use std::collections::BTreeMap;
 /// Guesses that are optimized in a round, and rounds at most.
 const GUESSES: u64 = 12;
 const ROUNDS: u64 = 12;
+/// Rounds where what is found at states on the way is handed on to a single state after them.
+const FIRST_ROUNDS: u64 = 3;
 /// From this round on there is to be a trajectory a round, or it leads nowhere.
 const LEAST_ROUNDS: u64 = 2;
 /// Costs nearer to each other than this share are one.
@@ -54,7 +56,7 @@ pub(super) struct Asked {
 }
 
 /// The cheapest trajectory that was found from each target.
-type Best = BTreeMap<usize, Optimized>;
+pub(super) type Best = BTreeMap<usize, Optimized>;
 
 fn keep_best(best: &mut Best, target: usize, found: &[Optimized]) {
     for one in found {
@@ -98,7 +100,7 @@ impl Survey<'_> {
         direct: &Direct<'_>,
         targets: &[usize],
         progress: Progress<'_>,
-    ) -> Result<Vec<usize>, BackendError> {
+    ) -> Result<(Vec<usize>, Best), BackendError> {
         let (count, times, least) = if self.is_plain(solver, direct) {
             PLAIN
         } else {
@@ -108,7 +110,12 @@ impl Survey<'_> {
         let mut costs: Vec<Vec<f64>> = vec![Vec::new(); self.targets.len()];
         let mut best = Best::default();
         let mut left = targets.to_vec();
-        for round in 0..ROUNDS {
+        let rounds = if self.hands_on() {
+            FIRST_ROUNDS
+        } else {
+            ROUNDS
+        };
+        for round in 0..rounds {
             let mut found: Vec<(usize, Optimized)> = Vec::new();
             for together in left.chunks(TOGETHER) {
                 let asked = (together.iter())
@@ -147,6 +154,9 @@ impl Survey<'_> {
             !self.is_confirmed(*t, &costs[*t], times) || costs[*t].iter().any(rivals)
         };
         let doubtful: Vec<usize> = targets.iter().copied().filter(is_doubtful).collect();
+        if self.hands_on() {
+            return Ok((doubtful, best));
+        }
         for kind in [
             (CARRIED_FROM, "from carried trajectories"),
             (MOVED_FROM, "from moved trajectories"),
@@ -154,7 +164,7 @@ impl Survey<'_> {
             self.try_further(solver, direct, &doubtful, kind, &mut best, progress)?;
         }
         self.follow_lost(solver)?;
-        Ok(doubtful)
+        Ok((doubtful, best))
     }
 
     /// The same from further guesses, in rounds until some in turn lead to nothing cheaper.
@@ -296,15 +306,12 @@ impl Survey<'_> {
         mut found: Vec<(usize, Optimized)>,
     ) -> Result<(), BackendError> {
         self.solve_along_all(solver, &found)?;
-        let is_lost = |survey: &Self, target: usize, cost: f64| {
-            times(1.0 + OFF, cost) < survey.least_value(target)
-        };
         // What was shortened in vain before need not be again.
-        let is_new = |survey: &Self, target: usize, cost: f64| {
-            let known = survey.lost.get(&target);
+        let is_new = |target: &usize, cost: f64| {
+            let known = self.lost.get(target);
             known.is_none_or(|known| (known.cost - cost).abs() > OFF * cost.abs())
         };
-        found.retain(|(t, one)| is_lost(self, *t, one.cost) && is_new(self, *t, one.cost));
+        found.retain(|(t, one)| self.is_lost(*t, one.cost) && is_new(t, one.cost));
         let end = &solver.scheme.end;
         let shorter: Vec<Option<Optimized>> = (found.par_iter())
             .map(|(_, one)| direct.refined(one, end))
@@ -314,13 +321,13 @@ impl Survey<'_> {
         let mut lost: Vec<(f64, (usize, Optimized))> = (found.into_iter().zip(shorter))
             .map(|((target, one), shorter)| (one.cost, (target, shorter.unwrap_or(one))))
             .collect();
-        lost.retain(|(_, (target, one))| is_lost(self, *target, one.cost));
+        lost.retain(|(_, (target, one))| self.is_lost(*target, one.cost));
         let (costs, lost): (Vec<f64>, Vec<(usize, Optimized)>) = lost.into_iter().unzip();
         self.solve_along_all(solver, &lost)?;
         for (cost, (target, one)) in costs.into_iter().zip(lost) {
             let known = self.lost.get(&target);
             let is_cheapest = known.is_none_or(|known| cost < known.cost);
-            if is_cheapest && is_lost(self, target, one.cost) {
+            if is_cheapest && self.is_lost(target, one.cost) {
                 let attained = direct.attained(&one);
                 let path = one.path;
                 let lost = Lost {
@@ -334,14 +341,16 @@ impl Survey<'_> {
         Ok(())
     }
 
+    /// Whether a trajectory that was optimized costs less than what was solved for.
+    pub(super) fn is_lost(&self, target: usize, cost: f64) -> bool {
+        times(1.0 + OFF, cost) < self.least_value(target)
+    }
+
     /// What is cheaper than all solutions, and too rough a guess as a whole, is followed from its end;
     /// whether that leads to any.
     pub(super) fn follow_lost(&mut self, solver: &mut Solver) -> Result<bool, BackendError> {
-        let is_lost = |survey: &Self, target: usize, cost: f64| {
-            times(1.0 + OFF, cost) < survey.least_value(target)
-        };
         let rough = (self.lost.iter())
-            .filter(|(t, lost)| is_lost(self, **t, lost.cost))
+            .filter(|(t, lost)| self.is_lost(**t, lost.cost))
             .map(|(t, lost)| (*t, lost.path.clone()));
         let rough: Vec<_> = rough.collect();
         if rough.is_empty() {
@@ -351,7 +360,7 @@ impl Survey<'_> {
         let before = self.lost.len();
         let lost = std::mem::take(&mut self.lost);
         self.lost = (lost.into_iter())
-            .filter(|(t, lost)| is_lost(self, *t, lost.cost))
+            .filter(|(t, lost)| self.is_lost(*t, lost.cost))
             .collect();
         Ok(self.lost.len() < before)
     }

@@ -1,0 +1,179 @@
+//! Mirror images: changes of sign of states and controls that leave the problem as it is.
+
+use super::descent::{Found, Transcription};
+use super::stage::Rates;
+use crate::numeric::random::uniform;
+use crate::value::targets::Groups;
+
+/// Points at which it is checked, and by what share of their size rates may differ there.
+const POINTS: u64 = 8;
+const ALIKE: f64 = 1e-9;
+/// Groups of states and controls that change their signs together, at most.
+const MOST_GROUPS: usize = 6;
+
+/// Signs of states and controls, deviations from the equilibrium, under which f changes its sign as
+/// the states do, and L does not.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Mirror {
+    pub states: Vec<f64>,
+    pub controls: Vec<f64>,
+}
+
+impl Mirror {
+    /// A state's image.
+    pub fn of(&self, s: &[f64]) -> Vec<f64> {
+        s.iter()
+            .zip(&self.states)
+            .map(|(s, sign)| sign * s)
+            .collect()
+    }
+
+    /// A trajectory's image.
+    pub fn trajectory(&self, found: &Found, middle: &[f64]) -> Found {
+        let all = |rows: &[Vec<f64>]| rows.iter().map(|row| self.of(row)).collect();
+        let (n, m) = (self.states.len(), self.controls.len());
+        let control = |(k, u): (usize, &f64)| {
+            let (sign, middle) = (self.controls[k % m], middle[k % m]);
+            middle + sign * (u - middle)
+        };
+        let gain = |(k, gain): (usize, &f64)| self.controls[k / n % m] * self.states[k % n] * gain;
+        Found {
+            cost: found.cost,
+            states: all(&found.states),
+            adjoints: all(&found.adjoints),
+            controls: found.controls.iter().enumerate().map(control).collect(),
+            gains: found.gains.iter().enumerate().map(gain).collect(),
+            steps: found.steps.clone(),
+        }
+    }
+}
+
+/// All of them: what is coupled about the equilibrium changes its sign together, and whether that
+/// holds is checked at points of the region.
+pub(super) fn mirrors(rates: &Rates, problem: &Transcription) -> Vec<Mirror> {
+    let (n, m) = (rates.states, rates.controls);
+    let mut groups = Groups::new(n + m);
+    for (a, b) in rates.couplings(&problem.middle) {
+        groups.join(a, b);
+    }
+    let roots: Vec<usize> = (0..n + m).map(|i| groups.root(i)).collect();
+    let mut distinct = roots.clone();
+    distinct.sort_unstable();
+    distinct.dedup();
+    if distinct.len() > MOST_GROUPS {
+        return Vec::new();
+    }
+    let of = |choice: usize| {
+        let sign = |root: &usize| {
+            let group = distinct.iter().position(|d| d == root).unwrap_or(0);
+            if choice >> group & 1 == 1 { -1.0 } else { 1.0 }
+        };
+        let signs: Vec<f64> = roots.iter().map(sign).collect();
+        let (states, controls) = signs.split_at(n);
+        Mirror {
+            states: states.to_vec(),
+            controls: controls.to_vec(),
+        }
+    };
+    (1..1 << distinct.len())
+        .map(of)
+        .filter(|mirror| mirror.states.contains(&-1.0) && holds(rates, problem, mirror))
+        .collect()
+}
+
+/// Whether the problem is its own image, at points of the region and in its controls' bounds.
+fn holds(rates: &Rates, problem: &Transcription, mirror: &Mirror) -> bool {
+    let near = |a: f64, b: f64, size: f64| a == b || (a - b).abs() <= ALIKE * size;
+    for ((sign, middle), [lo, hi]) in
+        (mirror.controls.iter().zip(&problem.middle)).zip(&problem.bounds)
+    {
+        let image = 2.0 * middle - hi;
+        if *sign < 0.0 && !near(*lo, image, lo.abs().max(1.0)) {
+            return false;
+        }
+    }
+    let (n, width) = (rates.states, rates.states + rates.controls);
+    (0..POINTS).all(|k| {
+        let number = |i: usize| 2.0 * uniform(k, i as u64) - 1.0;
+        let s: Vec<f64> = (0..n)
+            .map(|i| 0.5 * number(i) * problem.widths[i])
+            .collect();
+        let mut u = Vec::new();
+        for (j, middle) in problem.middle.iter().enumerate() {
+            let room = problem.bounds[j].map(|b| (b - middle).abs());
+            let room = room[0].min(room[1]);
+            let room = if room.is_finite() { room } else { 1.0 };
+            u.push(room * number(n + j));
+        }
+        let with = |signs: &[f64]| {
+            (u.iter().zip(signs).zip(&problem.middle))
+                .map(|((u, s), m)| m + s * u)
+                .collect::<Vec<_>>()
+        };
+        let here = rates.at(&[s.clone(), with(&vec![1.0; width - n])].concat());
+        let there = rates.at(&[mirror.of(&s), with(&mirror.controls)].concat());
+        let size = here.iter().fold(0.0_f64, |size, v| size.max(v.abs()));
+        let signs = mirror.states.iter().chain(&[1.0]);
+        here.iter()
+            .zip(&there)
+            .zip(signs)
+            .all(|((a, b), sign)| near(sign * a, *b, size))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::backend::Deadline;
+    use crate::scenario;
+
+    fn of(dynamics: &str, running: &str, bounds: [f64; 2]) -> Vec<Mirror> {
+        let text = format!(
+            r#"
+            states = {{ a = {{}}, b = {{}}, c = {{}} }}
+            controls = {{ u = {{}} }}
+            dynamics = {{ a = "b", {dynamics} }}
+            cost = {{ running = "{running}" }}
+            equilibrium = {{ a = 0, b = 0, c = 0, u = 0 }}
+            region = {{ a = [-1, 1], b = [-1, 1], c = [-1, 1] }}
+            shoot_out = {{ value_max = 1 }}
+            "#
+        );
+        let model = scenario::parse(&text, "test", &[]).expect("a scene");
+        let problem = Transcription {
+            steps: vec![0.1; 2],
+            widths: vec![2.0; 3],
+            middle: vec![0.0],
+            bounds: vec![bounds],
+            end: vec![0.0; 9],
+            deadline: Deadline::default(),
+        };
+        mirrors(&Rates::new(&model), &problem)
+    }
+
+    #[test]
+    fn signs_that_leave_the_problem_as_it_is() {
+        let free = [f64::NEG_INFINITY, f64::INFINITY];
+        let cost = "a^2 + b^2 + c^2 + u^2";
+        let signs = |mirrors: Vec<Mirror>| -> Vec<Vec<f64>> {
+            let all = |m: Mirror| [m.states, m.controls].concat();
+            mirrors.into_iter().map(all).collect()
+        };
+        // c goes its own way.
+        let apart = r#"b = "sin(a) + u", c = "-c^3 - c""#;
+        let both = signs(of(apart, cost, free));
+        assert_eq!(
+            both,
+            [[-1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, 1.0], [-1.0; 4]]
+        );
+        // It is driven by the square of a: only a, b and u change their signs, and c does not.
+        let driven = r#"b = "sin(a) + u", c = "a^2 - c""#;
+        assert_eq!(signs(of(driven, cost, free)), [[-1.0, -1.0, 1.0, -1.0]]);
+        // A bound on one side, a square in the dynamics, a cost that is not even.
+        assert_eq!(signs(of(driven, cost, [-1.0, 2.0])), [[0.0; 4]; 0]);
+        let odd = r#"b = "sin(a) + a^2 + u", c = "-c^3 - c^2 - c""#;
+        assert_eq!(signs(of(odd, cost, free)), [[0.0; 4]; 0]);
+        let uneven = "a^2 + b^2 + c^2 + u^2 + a^3*b^2 + c^3";
+        assert_eq!(signs(of(apart, uneven, free)), [[0.0; 4]; 0]);
+    }
+}
