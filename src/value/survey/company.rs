@@ -38,9 +38,9 @@ const PASSES: u64 = 6;
 
 impl Survey<'_> {
     /// Looks for cheaper ways from states of a grid, at random places, until so many in turn have
-    /// none, beginning with what is known from some; what is found is tried at the neighbours: in few dimensions solutions are continued
-    /// there, in many trajectories are optimized from there. Whether there are
-    /// more sheets than are worth following.
+    /// none; `begun` is known from some of them. What is found is tried at the neighbours: in few
+    /// dimensions solutions are continued there, in many trajectories are optimized from there.
+    /// Whether there are more sheets than are worth following.
     pub(super) fn search_in_company(
         &mut self,
         solver: &mut Solver,
@@ -67,8 +67,10 @@ impl Survey<'_> {
         for pass in 0..if hands_on { PASSES } else { 1 } {
             for together in order.chunks(TOGETHER) {
                 let is_done = quiet >= QUIET.min(order.len()) || is_plain && looked >= PLAIN;
+                let is_wanting =
+                    |t: &usize| pass == 0 && self.is_wanting(*t) && known.is_empty_at(*t);
                 let now: Vec<usize> = (together.iter().copied())
-                    .filter(|t| !is_done || self.is_wanting(*t) && known.is_empty_at(*t))
+                    .filter(|t| !is_done || is_wanting(t))
                     .collect();
                 if now.is_empty() {
                     continue;

@@ -133,6 +133,7 @@ impl Survey<'_> {
         let begun = best.map(|best| (last, best)).into_iter().collect();
         way.search_in_company(solver, direct, wanted, begun, &mut quiet)?;
         self.evaluations += way.evaluations;
+        self.starts[target] += way.starts[last];
         let tasks = (way.at[last].iter())
             .filter_map(|e| self.task_along(target, way.extremals[*e].path.clone(), SHORT))
             .collect();
