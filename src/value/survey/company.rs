@@ -2,7 +2,7 @@
 //! which extremals there are: as many states as there is need for.
 
 use super::handed::{Known, Origin};
-use super::optimized::{Asked, Best};
+use super::optimized::Asked;
 use super::spread::Effort;
 use super::{Progress, Survey, Wanted, times};
 use crate::backend::BackendError;
@@ -38,7 +38,7 @@ const PASSES: u64 = 6;
 
 impl Survey<'_> {
     /// Looks for cheaper ways from states of a grid, at random places, until so many in turn have
-    /// none; `begun` is known from some of them. What is found is tried at the neighbours: in few
+    /// none. What is found is tried at the neighbours: in few
     /// dimensions solutions are continued there, in many trajectories are optimized from there.
     /// Whether there are more sheets than are worth following.
     pub(super) fn search_in_company(
@@ -46,7 +46,6 @@ impl Survey<'_> {
         solver: &mut Solver,
         direct: &Direct<'_>,
         wanted: Wanted,
-        begun: Best,
         progress: Progress<'_>,
     ) -> Result<bool, BackendError> {
         let mut order: Vec<usize> = (0..self.targets.len())
@@ -59,9 +58,6 @@ impl Survey<'_> {
         });
         let hands_on = self.hands_on();
         let mut known = self.known(direct, &order);
-        for (target, one) in begun {
-            self.learn(&mut known, target, vec![one], Origin::Search);
-        }
         let (mut quiet, mut looked) = (0, 0);
         let mut is_plain = true;
         for pass in 0..if hands_on { PASSES } else { 1 } {

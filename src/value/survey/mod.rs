@@ -46,7 +46,6 @@ use crate::dynamic_programming::GridValue;
 use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
 use label::Sheets;
-use optimized::Best;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use spread::{Effort, Followed};
@@ -277,8 +276,7 @@ impl<'a> Survey<'a> {
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
         if let Some(direct) = self.direct.take() {
-            let best = Best::default();
-            self.is_crowded = self.search_in_company(solver, &direct, wanted, best, progress)?;
+            self.is_crowded = self.search_in_company(solver, &direct, wanted, progress)?;
             wanted.sheets &= !self.is_crowded;
             self.direct = Some(direct);
         }

@@ -11,8 +11,6 @@ use std::collections::BTreeMap;
 /// Guesses that are optimized in a round, and rounds at most.
 const GUESSES: u64 = 12;
 const ROUNDS: u64 = 12;
-/// Rounds where what is found at states on the way is handed on to a single state after them.
-const FIRST_ROUNDS: u64 = 3;
 /// From this round on there is to be a trajectory a round, or it leads nowhere.
 const LEAST_ROUNDS: u64 = 2;
 /// Costs nearer to each other than this share are one.
@@ -56,7 +54,7 @@ pub(super) struct Asked {
 }
 
 /// The cheapest trajectory that was found from each target.
-pub(super) type Best = BTreeMap<usize, Optimized>;
+type Best = BTreeMap<usize, Optimized>;
 
 fn keep_best(best: &mut Best, target: usize, found: &[Optimized]) {
     for one in found {
@@ -100,7 +98,7 @@ impl Survey<'_> {
         direct: &Direct<'_>,
         targets: &[usize],
         progress: Progress<'_>,
-    ) -> Result<(Vec<usize>, Best), BackendError> {
+    ) -> Result<Vec<usize>, BackendError> {
         let (count, times, least) = if self.is_plain(solver, direct) {
             PLAIN
         } else {
@@ -110,12 +108,7 @@ impl Survey<'_> {
         let mut costs: Vec<Vec<f64>> = vec![Vec::new(); self.targets.len()];
         let mut best = Best::default();
         let mut left = targets.to_vec();
-        let rounds = if self.hands_on() {
-            FIRST_ROUNDS
-        } else {
-            ROUNDS
-        };
-        for round in 0..rounds {
+        for round in 0..ROUNDS {
             let mut found: Vec<(usize, Optimized)> = Vec::new();
             for together in left.chunks(TOGETHER) {
                 let asked = (together.iter())
@@ -154,9 +147,6 @@ impl Survey<'_> {
             !self.is_confirmed(*t, &costs[*t], times) || costs[*t].iter().any(rivals)
         };
         let doubtful: Vec<usize> = targets.iter().copied().filter(is_doubtful).collect();
-        if self.hands_on() {
-            return Ok((doubtful, best));
-        }
         for kind in [
             (CARRIED_FROM, "from carried trajectories"),
             (MOVED_FROM, "from moved trajectories"),
@@ -164,7 +154,7 @@ impl Survey<'_> {
             self.try_further(solver, direct, &doubtful, kind, &mut best, progress)?;
         }
         self.follow_lost(solver)?;
-        Ok((doubtful, best))
+        Ok(doubtful)
     }
 
     /// The same from further guesses, in rounds until some in turn lead to nothing cheaper.

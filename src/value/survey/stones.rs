@@ -10,15 +10,12 @@ use crate::shooting::Solver;
 use crate::value::approach::Approach;
 use crate::value::archive::Archive;
 use crate::value::cover::Cover;
-use crate::value::direct::{Direct, Optimized};
 use crate::value::flight::homeward;
 use crate::value::targets::Targets;
 
 /// Stepping stones, and the shares of the region in which they lie, by turns.
 const STONES: u64 = 64;
 const SHARES: [f64; 2] = [1.0, 0.5];
-/// States on the way from a single state to the equilibrium.
-const WAY_HOME: u32 = 6;
 /// Of the stones' extremals those nearest to a state that are tried; and on how many further sheets
 /// the nearest one.
 const NEAREST: usize = 6;
@@ -44,16 +41,7 @@ impl Survey<'_> {
             .filter(|t| !solver.scheme.end.covers(&self.state(*t, 0)))
             .collect();
         if let Some(direct) = (!doubtful.is_empty()).then(|| self.direct.take()).flatten() {
-            let (left, mut best) = self.try_optimized(solver, &direct, &doubtful, progress)?;
-            doubtful = left;
-            if self.hands_on() {
-                for target in std::mem::take(&mut doubtful) {
-                    let best = best.remove(&target);
-                    self.over_way_home(solver, archive, &direct, wanted, target, best)?;
-                    progress("from states on the way", self.solved(), self.targets.len());
-                }
-                self.follow_lost(solver)?;
-            }
+            doubtful = self.try_optimized(solver, &direct, &doubtful, progress)?;
             self.direct = Some(direct);
         }
         if !doubtful.is_empty() {
@@ -102,47 +90,6 @@ impl Survey<'_> {
             }
         }
         self.send(solver, tasks)?;
-        Ok(())
-    }
-
-    /// The same from states on the straight way to the equilibrium: what is cheap from one of them is
-    /// handed on to the next.
-    fn over_way_home(
-        &mut self,
-        solver: &mut Solver,
-        archive: &Archive,
-        direct: &Direct<'_>,
-        wanted: Wanted,
-        target: usize,
-        best: Option<Optimized>,
-    ) -> Result<(), BackendError> {
-        let n = self.targets.states;
-        let reference = &self.plan.system.reference;
-        let s = homeward(&self.state(target, 0), &self.plan.recurrent);
-        let mut points = Vec::new();
-        for k in 1..=WAY_HOME {
-            let share = f64::from(k) / f64::from(WAY_HOME);
-            points.extend((0..n).map(|i| reference[i] + share * s[i]));
-        }
-        let mut targets = Targets::new(n, &[], &[], &points, &self.plan.widths);
-        targets.gridded.fill(true);
-        let last = targets.of_given[WAY_HOME as usize - 1];
-        let mut way = Survey::new(self.plan, &targets, solver)?;
-        let mut quiet = |_: &str, _: usize, _: usize| ();
-        way.begin(solver, archive, None)?;
-        let begun = best.map(|best| (last, best)).into_iter().collect();
-        way.search_in_company(solver, direct, wanted, begun, &mut quiet)?;
-        self.evaluations += way.evaluations;
-        self.starts[target] += way.starts[last];
-        let tasks = (way.at[last].iter())
-            .filter_map(|e| self.task_along(target, way.extremals[*e].path.clone(), SHORT))
-            .collect();
-        self.send(solver, tasks)?;
-        if let Some(lost) = way.lost.remove(&last)
-            && self.is_lost(target, lost.cost)
-        {
-            self.lost.insert(target, lost);
-        }
         Ok(())
     }
 
