@@ -28,20 +28,24 @@ impl Mirror {
             .collect()
     }
 
+    /// An image of controls, those of any number of steps.
+    fn controls_of(&self, u: &[f64], middle: &[f64]) -> Vec<f64> {
+        let about = middle.iter().zip(&self.controls).cycle();
+        (u.iter().zip(about))
+            .map(|(u, (middle, sign))| middle + sign * (u - middle))
+            .collect()
+    }
+
     /// A trajectory's image.
     pub fn trajectory(&self, found: &Found, middle: &[f64]) -> Found {
         let all = |rows: &[Vec<f64>]| rows.iter().map(|row| self.of(row)).collect();
         let (n, m) = (self.states.len(), self.controls.len());
-        let control = |(k, u): (usize, &f64)| {
-            let (sign, middle) = (self.controls[k % m], middle[k % m]);
-            middle + sign * (u - middle)
-        };
         let gain = |(k, gain): (usize, &f64)| self.controls[k / n % m] * self.states[k % n] * gain;
         Found {
             cost: found.cost,
             states: all(&found.states),
             adjoints: all(&found.adjoints),
-            controls: found.controls.iter().enumerate().map(control).collect(),
+            controls: self.controls_of(&found.controls, middle),
             gains: found.gains.iter().enumerate().map(gain).collect(),
             steps: found.steps.clone(),
         }
@@ -92,32 +96,23 @@ fn holds(rates: &Rates, problem: &Transcription, mirror: &Mirror) -> bool {
             return false;
         }
     }
-    let (n, width) = (rates.states, rates.states + rates.controls);
+    let n = rates.states;
     (0..POINTS).all(|k| {
         let number = |i: usize| 2.0 * uniform(k, i as u64) - 1.0;
-        let s: Vec<f64> = (0..n)
-            .map(|i| 0.5 * number(i) * problem.widths[i])
+        let s: Vec<f64> = (problem.widths.iter().enumerate())
+            .map(|(i, width)| 0.5 * number(i) * width)
             .collect();
-        let mut u = Vec::new();
-        for (j, middle) in problem.middle.iter().enumerate() {
+        let control = |(j, middle): (usize, &f64)| {
             let room = problem.bounds[j].map(|b| (b - middle).abs());
             let room = room[0].min(room[1]);
-            let room = if room.is_finite() { room } else { 1.0 };
-            u.push(room * number(n + j));
-        }
-        let with = |signs: &[f64]| {
-            (u.iter().zip(signs).zip(&problem.middle))
-                .map(|((u, s), m)| m + s * u)
-                .collect::<Vec<_>>()
+            middle + number(n + j) * if room.is_finite() { room } else { 1.0 }
         };
-        let here = rates.at(&[s.clone(), with(&vec![1.0; width - n])].concat());
-        let there = rates.at(&[mirror.of(&s), with(&mirror.controls)].concat());
+        let u: Vec<f64> = problem.middle.iter().enumerate().map(control).collect();
+        let here = rates.at(&[s.as_slice(), &u].concat());
+        let there = rates.at(&[mirror.of(&s), mirror.controls_of(&u, &problem.middle)].concat());
         let size = here.iter().fold(0.0_f64, |size, v| size.max(v.abs()));
         let signs = mirror.states.iter().chain(&[1.0]);
-        here.iter()
-            .zip(&there)
-            .zip(signs)
-            .all(|((a, b), sign)| near(sign * a, *b, size))
+        (here.iter().zip(&there).zip(signs)).all(|((a, b), sign)| near(sign * a, *b, size))
     })
 }
 

@@ -232,6 +232,11 @@ impl<'a> Direct<'a> {
         }
     }
 
+    /// Whether the problem has mirrors.
+    pub fn is_mirrored(&self) -> bool {
+        !self.mirrors.is_empty()
+    }
+
     /// Images of a state, a deviation, in the problem's mirrors, each with its mirror's number.
     pub fn images(&self, s: &[f64]) -> Vec<(usize, Vec<f64>)> {
         (self.mirrors.iter().enumerate())

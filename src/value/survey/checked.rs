@@ -92,16 +92,16 @@ impl Survey<'_> {
 
     /// Targets that have a lower V from mirror images of what was found.
     fn lowered_by_images(&mut self, solver: &mut Solver) -> Result<Vec<usize>, BackendError> {
-        let Some(direct) = self.hands_on().then(|| self.direct.take()).flatten() else {
+        if !self.hands_on() {
             return Ok(Vec::new());
-        };
-        let lower = self.solve_images(solver, &direct)?;
+        }
+        let lower = self.with_direct(|survey, direct| survey.solve_images(solver, direct))?;
+        let lower = lower.unwrap_or_default();
         for target in &lower {
             let value = self.least_value(*target);
             let bound = &mut self.bounds[*target];
             *bound = bound.filter(|bound| value > times(1.0 + ABOVE, *bound));
         }
-        self.direct = Some(direct);
         Ok(lower)
     }
 
@@ -317,16 +317,14 @@ impl Survey<'_> {
         solver: &mut Solver,
         undercut: &[Undercutting],
     ) -> Result<(), BackendError> {
-        let Some(direct) = self.direct.take() else {
-            return Ok(());
-        };
-        let end = &solver.scheme.end;
-        let found: Vec<(usize, Optimized)> = (undercut.par_iter().filter(|u| !u.is_tried))
-            .filter_map(|u| Some((u.target, direct.smoothed(&u.path, u.cost, end)?)))
-            .collect();
-        solver.deadline.check()?;
-        self.solve_from(solver, &direct, found)?;
-        self.direct = Some(direct);
+        self.with_direct(|survey, direct| {
+            let end = &solver.scheme.end;
+            let found: Vec<(usize, Optimized)> = (undercut.par_iter().filter(|u| !u.is_tried))
+                .filter_map(|u| Some((u.target, direct.smoothed(&u.path, u.cost, end)?)))
+                .collect();
+            solver.deadline.check()?;
+            survey.solve_from(solver, direct, found)
+        })?;
         Ok(())
     }
 

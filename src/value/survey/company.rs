@@ -57,7 +57,11 @@ impl Survey<'_> {
             place(a).total_cmp(&place(b))
         });
         let hands_on = self.hands_on();
-        let mut known = self.known(direct, &order);
+        let mut known = if hands_on {
+            self.known(direct, &order)
+        } else {
+            Known::default()
+        };
         let (mut quiet, mut looked) = (0, 0);
         let mut is_plain = true;
         for pass in 0..if hands_on { PASSES } else { 1 } {

@@ -51,6 +51,7 @@ struct News {
 }
 
 /// What is known of states by direct optimization.
+#[derive(Default)]
 pub(super) struct Known {
     /// Trajectories from each state, by rising cost.
     of: BTreeMap<usize, Vec<Arc<Optimized>>>,
@@ -74,15 +75,17 @@ impl Survey<'_> {
     /// Nothing yet, of some targets.
     pub(super) fn known(&self, direct: &Direct<'_>, targets: &[usize]) -> Known {
         Known {
-            of: BTreeMap::new(),
-            news: Vec::new(),
             neighbours: self.targets.neighbours(),
             images: self.images(direct, targets),
+            ..Known::default()
         }
     }
 
     /// Of states their images in mirrors of the problem: state and number of the mirror.
     fn images(&self, direct: &Direct<'_>, targets: &[usize]) -> Images {
+        if !direct.is_mirrored() {
+            return Images::new();
+        }
         let key = |s: &[f64]| -> Vec<i64> {
             (s.iter().zip(&self.plan.widths))
                 .map(|(s, width)| (s / (SAME_PLACE * width)).round() as i64)
@@ -114,11 +117,10 @@ impl Survey<'_> {
         let mut before = Vec::new();
         for (from, images) in &images {
             for &(to, mirror) in images {
-                let (value, known) = (self.least_value(*from), self.least_value(to));
-                if let Some(e) = self
-                    .lowest(*from)
-                    .filter(|_| value < times(1.0 - LESS, known))
-                {
+                let (Some(e), known) = (self.lowest(*from), self.least_value(to)) else {
+                    continue;
+                };
+                if self.extremals[e].value() < times(1.0 - LESS, known) {
                     let path = direct.image(&self.extremals[e].path, mirror);
                     tasks.extend(self.task_along(to, path, FROM_IMAGE));
                     before.push((to, known));
@@ -133,9 +135,8 @@ impl Survey<'_> {
     /// Cost of the cheapest that is known from a state, solved for or optimized.
     pub(super) fn least_known(&self, known: &Known, target: usize) -> f64 {
         let cheapest = known.of.get(&target).and_then(|list| list.first());
-        cheapest
-            .map_or(f64::INFINITY, |one| one.cost)
-            .min(self.least_value(target))
+        let optimized = cheapest.map_or(f64::INFINITY, |one| one.cost);
+        optimized.min(self.least_value(target))
     }
 
     /// Takes up what was found from a state, if it is among the cheapest; whether it is cheaper than
@@ -152,13 +153,9 @@ impl Survey<'_> {
             let least = self.least_known(known, target);
             let list = known.of.entry(target).or_default();
             let is_like = |other: &Arc<Optimized>| {
+                let (a, b) = (one.path.adjoint(), other.path.adjoint());
                 (one.cost - other.cost).abs() <= OFF * other.cost.abs()
-                    && alike(
-                        one.path.adjoint(),
-                        other.path.adjoint(),
-                        &self.scales,
-                        ALIKE,
-                    )
+                    && alike(a, b, &self.scales, ALIKE)
             };
             let is_dear = one.cost > times(DEARER, least);
             if is_dear || self.is_solved(target, &one) || list.iter().any(is_like) {
@@ -242,13 +239,12 @@ impl Survey<'_> {
     /// Of what was found by direct optimization what no solution is as cheap as.
     pub(super) fn still_unknown(&self, known: Known) -> Vec<(usize, Optimized)> {
         let mut found = Vec::new();
-        for target in known.of.keys() {
-            let most = times(ABOVE, self.least_known(&known, *target));
-            for one in &known.of[target] {
-                if one.cost <= most && !self.is_solved(*target, one) {
-                    found.push((*target, Optimized::clone(one)));
-                }
-            }
+        for (target, list) in known.of {
+            let cheapest = list.first().map_or(f64::INFINITY, |one| one.cost);
+            let most = times(ABOVE, cheapest.min(self.least_value(target)));
+            let new =
+                (list.into_iter()).filter(|one| one.cost <= most && !self.is_solved(target, one));
+            found.extend(new.map(|one| (target, Arc::unwrap_or_clone(one))));
         }
         found
     }

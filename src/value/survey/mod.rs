@@ -275,11 +275,11 @@ impl<'a> Survey<'a> {
             GridGuesses::OnDemand(make) => self.try_doubtful(solver, make, progress)?,
         }
         self.spread(solver, wanted, Effort::Neighbours, progress)?;
-        if let Some(direct) = self.direct.take() {
-            self.is_crowded = self.search_in_company(solver, &direct, wanted, progress)?;
-            wanted.sheets &= !self.is_crowded;
-            self.direct = Some(direct);
-        }
+        let is_crowded = self.with_direct(|survey, direct| {
+            survey.search_in_company(solver, direct, wanted, progress)
+        })?;
+        self.is_crowded = is_crowded.unwrap_or(false);
+        wanted.sheets &= !self.is_crowded;
         self.fly_in_company(solver, wanted, progress)?;
         self.last_resort(solver, archive, &index, wanted, progress)?;
         // Nothing behind a fold counts in a game.
@@ -295,6 +295,19 @@ impl<'a> Survey<'a> {
         self.label();
         self.keep_bounds_positive();
         Ok(())
+    }
+
+    /// Does something with the trajectories that are optimized directly, if there are any.
+    fn with_direct<T>(
+        &mut self,
+        work: impl FnOnce(&mut Self, &Direct<'a>) -> Result<T, BackendError>,
+    ) -> Result<Option<T>, BackendError> {
+        let Some(direct) = self.direct.take() else {
+            return Ok(None);
+        };
+        let done = work(self, &direct);
+        self.direct = Some(direct);
+        done.map(Some)
     }
 
     /// Where costs are nowhere negative what was left out does not promise less than 0, however far

@@ -40,10 +40,13 @@ impl Survey<'_> {
             .filter(|t| !self.targets.gridded[*t] && !self.is_refused(*t))
             .filter(|t| !solver.scheme.end.covers(&self.state(*t, 0)))
             .collect();
-        if let Some(direct) = (!doubtful.is_empty()).then(|| self.direct.take()).flatten() {
-            doubtful = self.try_optimized(solver, &direct, &doubtful, progress)?;
-            self.direct = Some(direct);
+        if doubtful.is_empty() {
+            return Ok(());
         }
+        let left = self.with_direct(|survey, direct| {
+            survey.try_optimized(solver, direct, &doubtful, progress)
+        })?;
+        doubtful = left.unwrap_or(doubtful);
         if !doubtful.is_empty() {
             self.over_stones(solver, archive, cover, wanted, &doubtful)?;
             progress("from stepping stones", self.solved(), self.targets.len());
