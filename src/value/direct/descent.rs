@@ -303,7 +303,7 @@ impl<'a> Descent<'a> {
         self.descend(BARRIERS[BARRIERS.len() - 1], LAST_STEPS, DONE)?;
         let gains = self.change(BARRIERS[BARRIERS.len() - 1])?.gains;
         let rows = |v: &[f64]| v.chunks(self.rates.states).map(<[f64]>::to_vec).collect();
-        (self.largest_gap() < CLOSED).then(|| Found {
+        self.is_closed().then(|| Found {
             cost: self.cost_of(&self.x, &self.steps),
             states: rows(&self.x),
             adjoints: rows(&self.p),
@@ -351,7 +351,7 @@ impl<'a> Descent<'a> {
             let settled = (last.checked_sub(SETTLING)).is_some_and(|before| {
                 (costs[last] - costs[before]).abs() < SETTLED * costs[last].abs()
             });
-            if settled && self.largest_gap() < CLOSED {
+            if settled && self.is_closed() {
                 break;
             }
         }
@@ -378,6 +378,11 @@ impl<'a> Descent<'a> {
             .zip(widths)
             .map(|(k, width)| self.gap(k).abs() / width);
         gaps.fold(0.0, f64::max)
+    }
+
+    /// Whether its gaps are closed.
+    pub fn is_closed(&self) -> bool {
+        self.largest_gap() < CLOSED
     }
 
     /// A gap's component.

@@ -1,6 +1,6 @@
 //! Mirror images: changes of sign of states and controls that leave the problem as it is.
 
-use super::descent::{Found, Transcription};
+use super::descent::{Descent, Found, Transcription};
 use super::stage::Rates;
 use crate::numeric::random::uniform;
 use crate::value::targets::Groups;
@@ -8,6 +8,8 @@ use crate::value::targets::Groups;
 /// Points at which it is checked, and by what share of their size rates may differ there.
 const POINTS: u64 = 8;
 const ALIKE: f64 = 1e-9;
+/// Share by which an image's cost may be off.
+const SAME_COST: f64 = 1e-6;
 /// Groups of states and controls that change their signs together, at most.
 const MOST_GROUPS: usize = 6;
 
@@ -36,19 +38,29 @@ impl Mirror {
             .collect()
     }
 
-    /// A trajectory's image.
-    pub fn trajectory(&self, found: &Found, middle: &[f64]) -> Found {
+    /// A trajectory's image, if it is one that costs the same: what is narrow, a bump of the cost on
+    /// one side, lies between the points at which the mirror was checked.
+    pub fn trajectory(
+        &self,
+        rates: &Rates,
+        problem: &Transcription,
+        found: &Found,
+    ) -> Option<Found> {
         let all = |rows: &[Vec<f64>]| rows.iter().map(|row| self.of(row)).collect();
         let (n, m) = (self.states.len(), self.controls.len());
         let gain = |(k, gain): (usize, &f64)| self.controls[k / n % m] * self.states[k % n] * gain;
-        Found {
+        let image = Found {
             cost: found.cost,
             states: all(&found.states),
             adjoints: all(&found.adjoints),
-            controls: self.controls_of(&found.controls, middle),
+            controls: self.controls_of(&found.controls, &problem.middle),
             gains: found.gains.iter().enumerate().map(gain).collect(),
             steps: found.steps.clone(),
-        }
+        };
+        let (x, u) = (image.states.concat(), image.controls.clone());
+        let there = Descent::from(rates, problem, x, u)?;
+        let costs_the_same = (there.cost() - found.cost).abs() <= SAME_COST * found.cost.abs();
+        (costs_the_same && there.is_closed()).then_some(image)
     }
 }
 
@@ -122,7 +134,7 @@ mod tests {
     use crate::backend::Deadline;
     use crate::scenario;
 
-    fn of(dynamics: &str, running: &str, bounds: [f64; 2]) -> Vec<Mirror> {
+    fn problem(dynamics: &str, running: &str, bounds: [f64; 2]) -> (Rates, Transcription) {
         let text = format!(
             r#"
             states = {{ a = {{}}, b = {{}}, c = {{}} }}
@@ -136,14 +148,46 @@ mod tests {
         );
         let model = scenario::parse(&text, "test", &[]).expect("a scene");
         let problem = Transcription {
-            steps: vec![0.1; 2],
+            steps: vec![0.1; 60],
             widths: vec![2.0; 3],
             middle: vec![0.0],
             bounds: vec![bounds],
             end: vec![0.0; 9],
             deadline: Deadline::default(),
         };
-        mirrors(&Rates::new(&model), &problem)
+        (Rates::new(&model), problem)
+    }
+
+    fn of(dynamics: &str, running: &str, bounds: [f64; 2]) -> Vec<Mirror> {
+        let (rates, problem) = problem(dynamics, running, bounds);
+        mirrors(&rates, &problem)
+    }
+
+    /// A bump that none of the points meets: images of what goes by it are none.
+    #[test]
+    fn images_beside_a_bump_on_one_side() {
+        let free = [f64::NEG_INFINITY, f64::INFINITY];
+        let dynamics = r#"b = "-a - 2*b + u", c = "-c""#;
+        let cost = "a^2 + b^2 + c^2 + u^2 + 100*exp(-((a - 0.4)^2 + b^2 + (c - 0.4)^2)/2e-3)";
+        let (rates, problem) = problem(dynamics, cost, free);
+        let odd = mirrors(&rates, &problem)
+            .into_iter()
+            .find(|m| m.states == [-1.0; 3])
+            .expect("no point meets the bump");
+        let from = |s: [f64; 3]| {
+            let way = |t: f64| s.iter().map(|s| s * (-t).exp()).collect();
+            let guess: Vec<Vec<f64>> = problem.times().map(way).collect();
+            let mut descent = Descent::new(&rates, &problem, &guess).expect("finite");
+            descent.begin().expect("leads somewhere");
+            descent.finish().expect("ends")
+        };
+        let image = |s: [f64; 3]| odd.trajectory(&rates, &problem, &from(s));
+        let apart = image([0.5, 0.0, -0.5]).expect("nothing is in its way");
+        let direct = from([-0.5, 0.0, 0.5]);
+        assert!((apart.cost - direct.cost).abs() <= 1e-6 * direct.cost);
+        assert_eq!(apart.states[0], direct.states[0]);
+        // Its image begins on the bump.
+        assert!(image([-0.4, 0.0, -0.4]).is_none());
     }
 
     #[test]

@@ -255,13 +255,14 @@ impl<'a> Direct<'a> {
         path
     }
 
-    /// The image of what was optimized.
-    pub fn mirrored(&self, one: &Optimized, mirror: usize) -> Optimized {
-        Optimized {
+    /// The image of what was optimized, if it is a trajectory that costs the same.
+    pub fn mirrored(&self, one: &Optimized, mirror: usize) -> Option<Optimized> {
+        let found = self.mirrors[mirror].trajectory(&self.rates, &self.problem, &one.found)?;
+        Some(Optimized {
             cost: one.cost,
             path: self.image(&one.path, mirror),
-            found: self.mirrors[mirror].trajectory(&one.found, &self.problem.middle),
-        }
+            found,
+        })
     }
 
     /// A state and its copies by a period, as far as they may lead to the equilibrium at less cost.

@@ -102,15 +102,15 @@ impl Survey<'_> {
         targets.iter().map(images).collect()
     }
 
-    /// Solves from the images of solutions, where those cost less than what was found; states that
-    /// have a lower V now.
+    /// Solves from the images of solutions of a grid, where those cost less than what was found
+    /// (single states are told of nothing); states that have a lower V now.
     pub(super) fn solve_images(
         &mut self,
         solver: &mut Solver,
         direct: &Direct<'_>,
     ) -> Result<Vec<usize>, BackendError> {
         let solved: Vec<usize> = (0..self.targets.len())
-            .filter(|t| !self.at[*t].is_empty())
+            .filter(|t| self.targets.gridded[*t] && !self.at[*t].is_empty())
             .collect();
         let images = self.images(direct, &solved);
         let mut tasks = Vec::new();
@@ -231,7 +231,8 @@ impl Survey<'_> {
             }
             for (to, mirror) in known.images.get(&news.at).cloned().unwrap_or_default() {
                 let image = direct.mirrored(&news.one, mirror);
-                self.learn(known, to, vec![image], Origin::Mirror(mirror));
+                let image = image.into_iter().collect();
+                self.learn(known, to, image, Origin::Mirror(mirror));
             }
         }
     }
