@@ -24,9 +24,11 @@ use rustc_hash::FxHashMap;
 /// accumulation of events (Zeno). Likewise of legs within a phase.
 const SHORT: f64 = 1e-9;
 const MOST_SHORT: usize = 20;
-/// A phase shorter than this share of the time so far before one that is next to nothing shows an
-/// accumulation.
-const FADING: f64 = 1e-4;
+/// An event that turns the motion leaves more than this share of its speed; less is rounding, of a
+/// motion that was brought to rest.
+const TURNED: f64 = 1e-9;
+/// Gaps and velocities of contacts that are more than rounding, in the scene's units.
+pub const OFF: f64 = 1e-6;
 /// Absolute tolerance of what the step control is to leave alone.
 const UNCONTROLLED: f64 = 1e30;
 
@@ -47,6 +49,8 @@ pub enum End {
     NoState,
     /// A condition has no value where the flight has come to.
     NoCondition,
+    /// An event led to a state in which a contact of the mechanism does not hold.
+    ContactLost,
     /// The integration could not go on.
     Failed(Status),
 }
@@ -63,6 +67,7 @@ impl End {
             End::NotLocated => "not_located",
             End::NoState => "no_state",
             End::NoCondition => "no_condition",
+            End::ContactLost => "contact_lost",
             End::Failed(status) => status.name(),
         }
     }
@@ -78,6 +83,7 @@ impl End {
             End::NoState => 4,
             End::NoCondition => 5,
             End::Failed(status) => 6 + status as i32,
+            End::ContactLost => 12,
             End::At(event) => Self::FIRST_EVENT + i32::try_from(event).unwrap_or(i32::MAX >> 1),
         }
     }
@@ -86,13 +92,14 @@ impl End {
     pub const FIRST_EVENT: i32 = 16;
 
     /// All but those at an event.
-    pub const OTHERS: [End; 9] = [
+    pub const OTHERS: [End; 10] = [
         End::Time,
         End::Events,
         End::Zeno,
         End::NotLocated,
         End::NoState,
         End::NoCondition,
+        End::ContactLost,
         End::Failed(Status::StepFloor),
         End::Failed(Status::StepLimit),
         End::Failed(Status::NotFinite),
@@ -107,6 +114,16 @@ pub struct Jump {
     pub t: f64,
     pub before: Vec<f64>,
     pub after: Vec<f64>,
+}
+
+/// A contact that does not hold after an event.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lost {
+    pub flight: usize,
+    pub event: usize,
+    /// Number among what the event keeps, and its value.
+    pub kept: usize,
+    pub by: f64,
 }
 
 /// A stored point of a flight.
@@ -147,6 +164,8 @@ pub struct Flights {
     pub events: Vec<usize>,
     /// By time within a flight.
     pub jumps: Vec<Jump>,
+    /// The first flight that a contact was lost in.
+    pub lost: Option<Lost>,
     pub samples: Vec<Sample>,
     pub steps: u64,
     pub rejected: u64,
@@ -171,7 +190,7 @@ pub struct Simulator {
     /// Of a state: `ahead` of each event, the first and second rates of these, and where events
     /// count.
     conditions: Program,
-    /// Of a state: the state after each event.
+    /// Of a state: the state after each event, then what contacts keep, after it and before it.
     maps: Vec<Option<Program>>,
 }
 
@@ -188,12 +207,12 @@ struct Flight {
     /// Where the flight is, and for how long the phase has lasted.
     x: Vec<f64>,
     flown: f64,
-    /// The same where its latest leg began.
+    /// How long when its latest leg began.
     leg: f64,
     watched: Vec<Watch>,
-    /// The event that the phase began with, and how long the one before lasted.
+    /// The event that the phase began with, and the rate at which its condition came true.
     after: Option<usize>,
-    before: f64,
+    came: f64,
     /// Of events that have happened at this instant: whether they were armed since.
     known: Vec<Option<bool>>,
     /// Phases, or legs of this phase, that were short, in a row.
@@ -278,7 +297,12 @@ impl Simulator {
             stored: backend.compile(&spec(&plain_inputs, &[], false, true))?,
             conditions,
             maps: (all.iter())
-                .map(|e| e.map.as_ref().map(|map| of_state(map)))
+                .map(|e| {
+                    let kept =
+                        (e.kept.iter().map(|k| k.after)).chain(e.kept.iter().map(|k| k.before));
+                    let map = e.map.as_ref()?.iter().copied();
+                    Some(of_state(&map.chain(kept).collect::<Vec<Id>>()))
+                })
                 .collect(),
         })
     }
@@ -322,7 +346,7 @@ impl Simulator {
                 leg: 0.0,
                 watched: Vec::new(),
                 after: None,
-                before: f64::INFINITY,
+                came: 0.0,
                 known: vec![None; self.at_once.len()],
                 short: 0,
                 short_legs: 0,
@@ -398,10 +422,9 @@ impl Simulator {
                 true => Side::Met,
                 false => Watch::at(here, known, grain),
             };
-            // It would leave, for less than a moment, after a phase that was hardly longer.
-            let fades = flight.before < FADING * flight.t;
-            let touches = here.is_on_surface(grain) && here.is_flat(grain);
-            if just && touches && here.slope > 0.0 && fades {
+            // It was turned, and would leave for less than a moment.
+            let turned = just && here.slope > TURNED * flight.came.abs();
+            if turned && here.is_on_surface(grain) && !here.leaves(grain) {
                 flight.end = Some(End::Zeno);
                 return None;
             }
@@ -409,6 +432,10 @@ impl Simulator {
                 Side::Met if self.counts(&all, event) => {
                     flight.watched.clear();
                     return Some(event);
+                }
+                Side::Met if self.is_unasked(&all, event) => {
+                    flight.end = Some(End::NoCondition);
+                    return None;
                 }
                 Side::Met => Watch::on(false, here, grain),
                 Side::Watched(watch) => watch,
@@ -446,6 +473,11 @@ impl Simulator {
         all[3 * self.at_once.len() + event] >= 0.0
     }
 
+    /// Whether nobody can say if an event counts.
+    fn is_unasked(&self, all: &[f64], event: usize) -> bool {
+        all[3 * self.at_once.len() + event].is_nan()
+    }
+
     /// An event at the end of a phase.
     fn jump(&self, flight: &mut Flight, event: usize, options: &Options, flights: &mut Flights) {
         flight.t += flight.flown;
@@ -455,7 +487,19 @@ impl Simulator {
         };
         let before = std::mem::take(&mut flight.x);
         let all = self.conditions.eval(&before);
-        let after = map.eval(&before);
+        let mut after = map.eval(&before);
+        let kept = after.split_off(self.states);
+        let (kept, kept_before) = kept.split_at(kept.len() / 2);
+        let lost = (kept.iter().zip(kept_before))
+            .position(|(now, before)| now.abs() > OFF && now.abs() > 2.0 * before.abs());
+        if let Some(kept_number) = lost {
+            flights.lost.get_or_insert(Lost {
+                flight: flight.number,
+                event,
+                kept: kept_number,
+                by: kept[kept_number],
+            });
+        }
         flights.jumps.push(Jump {
             flight: flight.number,
             event,
@@ -470,17 +514,20 @@ impl Simulator {
         };
         flight.phase += 1;
         flight.after = Some(event);
-        flight.before = flight.flown;
+        flight.came = self.condition(&all, event).slope;
         if flight.flown > self.grain(options).time {
             flight.known.fill(None);
         }
         flight.known[event] = Some(false);
         // What is on its surface at the same moment comes true, too.
-        let grain = self.grain(options);
+        let (grain, mut ends) = (self.grain(options), None);
         for other in (0..self.at_once.len()).filter(|o| *o != event) {
             let here = self.condition(&all, other);
             if flight.known[other].is_none() && here.is_on_surface(grain) && here.slope < 0.0 {
                 flight.known[other] = Some(true);
+                if self.maps[other].is_none() && self.counts(&all, other) {
+                    ends = ends.or(Some(End::At(other)));
+                }
             }
         }
         flight.begin.clone_from(&after);
@@ -490,6 +537,10 @@ impl Simulator {
         flight.watched.clear();
         flight.end = if !finite {
             Some(End::NoState)
+        } else if lost.is_some() {
+            Some(End::ContactLost)
+        } else if ends.is_some() {
+            ends
         } else if flight.short >= MOST_SHORT {
             Some(End::Zeno)
         } else if flight.phase >= options.events {

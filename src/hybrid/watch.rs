@@ -77,6 +77,8 @@ pub(super) struct Watch {
     pub armed: bool,
     /// By how much the surface is moved, in units of the condition.
     pub offset: f64,
+    /// Since when, in the time of the phase: what is met was met after that.
+    pub since: f64,
 }
 
 /// What a state is to an event.
@@ -97,7 +99,17 @@ impl Watch {
             true => 0.0,
             false => (-sign * here.ahead).max(0.0) + 2.0 * touch,
         };
-        Self { armed, offset }
+        let since = 0.0;
+        Self {
+            armed,
+            offset,
+            since,
+        }
+    }
+
+    /// The same from a time of the phase on.
+    pub fn from(self, since: f64) -> Self {
+        Self { since, ..self }
     }
 
     /// A phase that begins at a state. `known`: on the surface since this instant, and whether it
@@ -107,6 +119,7 @@ impl Watch {
             return Side::Watched(Self {
                 armed: here.ahead > 0.0,
                 offset: 0.0,
+                since: 0.0,
             });
         }
         match (here.leaves(grain), known) {
@@ -116,6 +129,7 @@ impl Watch {
             (false, None) if here.ahead > 0.0 => Side::Watched(Self {
                 armed: true,
                 offset: 0.0,
+                since: 0.0,
             }),
             (false, None) => Side::Watched(Self::on(false, here, grain)),
             (false, Some(true)) => Side::Met,

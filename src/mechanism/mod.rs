@@ -21,4 +21,4 @@ pub use contact::{Constraint, Held};
 pub use forward::{Accelerations, Articulated, Load, Wrench};
 pub use motion::{Frame, Motion, Point};
 pub use system::{Energy, Link, Mechanism, Named, Posed};
-pub use tree::{Body, Inertia, Joint, Mount, Tree};
+pub use tree::{Body, Impossible, Inertia, Joint, Mount, Tree};

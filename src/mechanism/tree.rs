@@ -1,6 +1,13 @@
 //! A tree of rigid bodies in numbers: what a mechanism is made of once its parameters are known.
 
+use crate::numeric::digits::plain;
 use glam::{DMat3, DVec3};
+use std::fmt;
+
+/// How far an inertia may be from one that a body has, relative to its size: by rounding, and where
+/// its digits are cut short.
+const ROUNDING: f64 = 1e-9;
+const CUT: f64 = 1e-3;
 
 /// How a body moves against its parent, by one coordinate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,6 +28,43 @@ pub struct Inertia {
     pub about_com: DMat3,
 }
 
+/// Why no body has an inertia.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Impossible {
+    /// The tensor is not symmetric.
+    NotSymmetric,
+    /// A principal moment is negative.
+    Negative { least: f64 },
+    /// There are moments, but no mass.
+    NoMass,
+    /// The largest principal moment is above the sum of the others.
+    TooLarge { largest: f64, others: f64 },
+}
+
+impl Impossible {
+    /// Whether models in use have such: their equations are good nevertheless.
+    #[must_use]
+    pub fn is_usable(self) -> bool {
+        matches!(self, Self::NoMass | Self::TooLarge { .. })
+    }
+}
+
+impl fmt::Display for Impossible {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotSymmetric => f.write_str("it is not symmetric"),
+            Self::Negative { least } => write!(f, "its least moment is {}", plain(*least)),
+            Self::NoMass => f.write_str("it has no mass"),
+            Self::TooLarge { largest, others } => write!(
+                f,
+                "its largest moment, {}, is above the sum of the others, {}",
+                plain(*largest),
+                plain(*others)
+            ),
+        }
+    }
+}
+
 impl Inertia {
     pub const NONE: Self = Self {
         mass: 0.0,
@@ -32,6 +76,28 @@ impl Inertia {
     #[must_use]
     pub fn about_origin(&self) -> DMat3 {
         self.about_com + self.mass * steiner(self.com)
+    }
+
+    /// Why no body has it whose density is nowhere below 0; in two dimensions only the moment about
+    /// z is known.
+    #[must_use]
+    pub fn impossible(&self, planar: bool) -> Option<Impossible> {
+        let tensor = &self.about_com;
+        let size = (tensor.to_cols_array().iter()).fold(0.0f64, |a, v| a.max(v.abs()));
+        let skew = (*tensor - tensor.transpose()).to_cols_array();
+        let [least, middle, largest] = principal(tensor);
+        let others = least + middle;
+        if skew.iter().any(|v| v.abs() > ROUNDING * size) {
+            Some(Impossible::NotSymmetric)
+        } else if least < -ROUNDING * size {
+            Some(Impossible::Negative { least })
+        } else if self.mass == 0.0 && size > 0.0 {
+            Some(Impossible::NoMass)
+        } else if !planar && largest > others + CUT * size {
+            Some(Impossible::TooLarge { largest, others })
+        } else {
+            None
+        }
     }
 
     /// Of a body that is placed in another's frame.
@@ -116,4 +182,12 @@ impl Mount {
     pub fn point(&self, at: DVec3) -> DVec3 {
         self.place + self.rotation * at
     }
+}
+
+/// Principal moments, the least first.
+fn principal(tensor: &DMat3) -> [f64; 3] {
+    let matrix = nalgebra::Matrix3::from_column_slice(&tensor.to_cols_array());
+    let mut moments = matrix.symmetric_eigenvalues();
+    moments.as_mut_slice().sort_by(f64::total_cmp);
+    [moments[0], moments[1], moments[2]]
 }

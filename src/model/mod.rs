@@ -77,6 +77,16 @@ pub struct Event {
     pub only: Option<Id>,
     /// The state after it, of that before; `None` ends the simulation.
     pub map: Option<Vec<Id>>,
+    /// What contacts of a mechanism keep as it is, after it and before it: 0 where they hold.
+    pub kept: Vec<Kept>,
+}
+
+/// A velocity or a distance that a contact keeps as it is, at an event: of the state before it.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    pub contact: String,
+    pub after: Id,
+    pub before: Id,
 }
 
 /// `[simulation]`.

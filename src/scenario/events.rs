@@ -5,14 +5,13 @@ use super::build::Use;
 use super::declare::Declared;
 use super::lexer::is_identifier;
 use super::mechanism::RATE;
-use super::reader::{Reader, Section, Value};
+use super::reader::{Reader, Section};
 use super::scope::Kinds;
 use crate::diagnostics::{Problem, shorten};
 use crate::expr::Id;
-use crate::mechanism::{Articulated, Constraint, Mechanism, Posed};
-use crate::model::{DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Simulation, Start};
+use crate::mechanism::Mechanism;
+use crate::model::{DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Kept, Simulation, Start};
 use rustc_hash::FxHashMap;
-use toml::de::DeValue;
 
 /// Events of one flight, and stored points of a phase, that a scene may ask for.
 const MOST_EVENTS: u32 = 1_000_000;
@@ -96,37 +95,50 @@ impl<'a> Reader<'a> {
             }
             _ => {}
         }
-        let map = match ends {
-            true => None,
-            false => Some(self.jump(what, table, states, mechanism)?),
+        let (map, kept) = match ends {
+            true => (None, Vec::new()),
+            false => {
+                let (map, kept) = self.jump(what, table, states, mechanism)?;
+                (Some(map), kept)
+            }
         };
         Some(Event {
             name: name.to_owned(),
             ahead,
             only,
             map,
+            kept,
         })
     }
 
     /// The states after an event: a collision changes rates, then names change, and what is set is
-    /// set at last. Expressions are of the states before all of it.
+    /// set at last. Expressions are of the states before all of it. And what contacts keep.
     fn jump(
         &mut self,
         what: &str,
         table: &Section<'a>,
         states: &[Declared<'a>],
         mechanism: Option<&Mechanism>,
-    ) -> Option<Vec<Id>> {
+    ) -> Option<(Vec<Id>, Vec<Kept>)> {
         let symbols = states.iter().filter_map(|s| Some((s.name, s.symbol?)));
         let mut after: After<'a> = symbols.collect();
-        if let Some(value) = table.get("collision") {
-            self.collide(what, value, mechanism, &mut after)?;
+        let collision = match table.get("collision") {
+            Some(value) => Some(self.collision(what, value, mechanism)?),
+            None => None,
+        };
+        if let (Some(collision), Some(mechanism)) = (&collision, mechanism) {
+            for (body, rate) in mechanism.tree.bodies.iter().zip(&collision.rates) {
+                if let Some(entry) = after.get_mut(format!("{}{RATE}", body.name).as_str()) {
+                    *entry = *rate;
+                }
+            }
         }
         let mut renamed = after.clone();
         if let Some(value) = table.get("relabel") {
             let table = self.table(value, value.span(), &format!("`relabel` of {what}"))?;
             self.relabel(what, &table, &after, &mut renamed)?;
         }
+        let mut sets = false;
         if let Some(value) = table.get("set") {
             let table = self.table(value, value.span(), &format!("`set` of {what}"))?;
             self.entries_of(&table, states, "states");
@@ -141,61 +153,27 @@ impl<'a> Reader<'a> {
                 if let Some(entry) = renamed.get_mut(state) {
                     *entry = built.expr;
                 }
+                let symbol = states
+                    .iter()
+                    .find(|s| s.name == state)
+                    .and_then(|s| s.symbol);
+                sets |= mechanism
+                    .zip(symbol)
+                    .is_some_and(|(m, symbol)| m.q.contains(&symbol) || m.rates.contains(&symbol));
             }
         }
-        (states.iter())
+        let kept = match mechanism {
+            Some(mechanism) => {
+                let relabels = table.get("relabel").is_some();
+                let of = (collision.as_ref(), &renamed);
+                self.kept(what, mechanism, of, (relabels, sets))?
+            }
+            None => Vec::new(),
+        };
+        let map: Option<Vec<Id>> = (states.iter())
             .map(|s| renamed.get(s.name).copied())
-            .collect()
-    }
-
-    /// Rates after a plastic collision in which points come to rest; points that were held and are
-    /// not named let go.
-    fn collide(
-        &mut self,
-        what: &str,
-        value: &'a Value<'a>,
-        mechanism: Option<&Mechanism>,
-        after: &mut After<'a>,
-    ) -> Option<()> {
-        let Some(mechanism) = mechanism else {
-            if self.no_mechanism {
-                return None;
-            }
-            let message = format!("{what}: only points of a [mechanism] collide");
-            return self.refuse(value.span(), message, "no mechanism");
-        };
-        let DeValue::Array(names) = value.get_ref() else {
-            let message = format!("the collision of {what} must be a list of points");
-            return self.refuse(value.span(), message, "such as [\"foot\"]");
-        };
-        let mut constraints: Vec<Constraint> = Vec::new();
-        for name in names {
-            let known = self.string(name, &format!("a point of {what}"))?;
-            let point = self.known_point(known, name.span(), &mechanism.points)?;
-            constraints.extend(mechanism.axes(point));
-        }
-        if constraints.is_empty() {
-            let message = format!("the collision of {what} names no point");
-            return self.refuse(value.span(), message, "empty");
-        }
-        let g = &mut self.graph;
-        let posed = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
-        if !self.are_independent(&posed, &constraints) {
-            let message = format!(
-                "the collision of {what} stops the same twice, or what cannot move: its impulses are not determined"
-            );
-            return self.refuse(value.span(), message, "remove a point");
-        }
-        let g = &mut self.graph;
-        let articulated = Articulated::new(g, &posed.motion);
-        let held = posed.held(g, &articulated, &constraints);
-        let (rates, _) = held.collision(g, &mechanism.rates);
-        for (body, rate) in mechanism.tree.bodies.iter().zip(rates) {
-            if let Some(entry) = after.get_mut(format!("{}{RATE}", body.name).as_str()) {
-                *entry = rate;
-            }
-        }
-        Some(())
+            .collect();
+        Some((map?, kept))
     }
 
     /// `relabel = { a = "b" }`: a becomes what b was, and its rate with it.

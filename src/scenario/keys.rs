@@ -254,6 +254,13 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "about the centre of mass, along the body's axes",
                     ),
                     key(
+                        "unphysical",
+                        "true or false",
+                        "",
+                        "false",
+                        "the inertia is taken as it is, even if no body has it: moments without a mass, or one above the sum of the others",
+                    ),
+                    key(
                         "shape",
                         "a table",
                         "",
@@ -950,10 +957,10 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                     ),
                     key(
                         "collision",
-                        "list of points",
+                        "list of points, or of tables",
                         "",
                         "none",
-                        "points of the mechanism that come to rest, plastically; held ones that are not named let go",
+                        "points of the mechanism that come to rest, plastically, or along one direction; held ones that are not named let go",
                     ),
                     key(
                         "relabel",
@@ -975,6 +982,20 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "",
                         "false",
                         "the simulation ends there",
+                    ),
+                ],
+            },
+            SectionKeys {
+                name: "events.collision",
+                about: "A table in the list of an event's collision: a point that comes to rest along one direction.",
+                keys: &[
+                    key("point", "a point's name", "", "required", "the point"),
+                    key(
+                        "along",
+                        "`\"x\"`, `\"y\"`, `\"z\"` or vector",
+                        "",
+                        "all directions",
+                        "it stops in this direction of the world alone",
                     ),
                 ],
             },

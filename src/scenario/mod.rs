@@ -15,6 +15,7 @@ mod equations;
 mod equilibrium;
 mod events;
 mod feedback;
+mod finite;
 mod hints;
 mod keys;
 mod lexer;

@@ -449,6 +449,7 @@ impl<'a> Reader<'a> {
         }
         // What is wrong already may be why something does not repeat.
         if self.problems.is_empty() {
+            self.check_finite(&scene);
             self.check_periods(all, &scene);
         }
     }

@@ -5,19 +5,16 @@ use super::{Session, SessionError};
 use crate::closed_loop::{Initial, LQR, Law, LawError, Laws, MAP, Weights};
 use crate::expr::{Graph, Id};
 use crate::hamiltonian::clamped;
-use crate::hybrid::{Cycle, CycleError, End, Flights, Options, Orbits, Simulator};
+use crate::hybrid::{Cycle, CycleError, End, Flights, OFF, Options, Orbits, Simulator};
 use crate::mechanism::Posed;
 use crate::model::{
-    DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Horizon, Method, Model, Precision,
+    DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Horizon, Kept, Method, Model, Precision,
 };
 use crate::numeric::random::uniform;
 use crate::program::Program;
 use crate::scene::Scene;
 use crate::sweep::Numerics;
 use rustc_hash::FxHashMap;
-
-/// Gaps and velocities of contacts that are more than rounding, in the scene's units.
-const OFF: f64 = 1e-6;
 
 /// What is asked of a simulation in place of what the scene's `[simulation]` says.
 #[derive(Clone, Debug, Default)]
@@ -70,7 +67,7 @@ pub struct Simulated {
 
 impl Simulated {
     /// How a flight ended, in a word: `time`, `events`, `event_NAME`, `guard_NAME`, `zeno`,
-    /// `not_located`, `no_state`, or that of a failed integration.
+    /// `not_located`, `no_state`, `no_condition`, `contact_lost`, or that of a failed integration.
     #[must_use]
     pub fn status(&self, flight: usize) -> &str {
         end_name(&self.names, self.flights.end[flight])
@@ -156,6 +153,16 @@ impl Session<'_> {
         } = self.prepare_simulation(options)?;
         self.note_contacts(&initial);
         let flights = simulator.fly(&initial, &options)?;
+        if let Some(lost) = flights.lost {
+            let event = &self.scene.model.events[lost.event];
+            self.progress.note(&format!(
+                "flight {} ends at event `{}`: contact `{}` does not hold after it (off by {:.3e}), and contact forces would keep that as it is",
+                lost.flight + 1,
+                event.name,
+                event.kept[lost.kept].contact,
+                lost.by
+            ));
+        }
         let u = (flights.samples.iter())
             .flat_map(|s| control.eval(&s.x))
             .collect();
@@ -270,6 +277,7 @@ impl Session<'_> {
                 ahead: guard.condition.expr,
                 only: None,
                 map: None,
+                kept: Vec::new(),
             })
             .collect();
         let [events, guards] = [&model.events, &guards].map(|all| system.events(all));
@@ -418,6 +426,16 @@ impl Closed {
                 ahead: self.closed(&[event.ahead])[0],
                 only: event.only.map(|only| self.closed(&[only])[0]),
                 map: event.map.as_ref().map(|map| self.closed(map)),
+                kept: (event.kept.iter())
+                    .map(|kept| {
+                        let ends = self.closed(&[kept.after, kept.before]);
+                        Kept {
+                            contact: kept.contact.clone(),
+                            after: ends[0],
+                            before: ends[1],
+                        }
+                    })
+                    .collect(),
             })
             .collect()
     }

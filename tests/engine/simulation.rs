@@ -453,3 +453,98 @@ fn an_orbit_through_a_section() {
         );
     }
 }
+
+/// A system at a relative tolerance, `(x, v, n)` from a state.
+fn at_tolerance(scene: &Scene, rtol: f64, from: &[f64], time: f64) -> Simulated {
+    let options = SimulationOptions {
+        time: Some(time),
+        ..SimulationOptions::default()
+    };
+    let choices = costate::Choices {
+        rtol: Some(rtol),
+        ..costate::Choices::default()
+    };
+    let session = Session::on(scene, Box::new(Cpu::new())).choosing(choices);
+    session.simulate(Some(from), &options).unwrap()
+}
+
+/// Bounces that get lower and lower end in an accumulation, never below the floor.
+#[test]
+fn bounces_accumulate_at_any_tolerance() {
+    for (restitution, floor) in [(0.3, 0.0), (0.7, 0.0), (0.7, -0.9), (0.9, 0.1)] {
+        let events = format!(
+            "[events.floor]\nwhen = \"x <= {floor}\"\nset = {{ v = \"-{restitution}*v\", n = \"n + 1\" }}"
+        );
+        let ball = oscillator(["v", "-9.81"], &events);
+        let swing = oscillator(["v", "-9.81*cos(x)"], &events);
+        let fall = (2.0 * (1.0 - floor) / 9.81f64).sqrt();
+        let exact = fall * (1.0 + 2.0 * restitution / (1.0 - restitution));
+        for rtol in [1e-4, 1e-6, 1e-9, 1e-12] {
+            let case = format!("{restitution} from {floor}, rtol {rtol}");
+            let done = at_tolerance(&ball, rtol, &[1.0, 0.0, 0.0], 30.0);
+            assert_eq!(done.status(0), "zeno", "{case}");
+            assert!((done.flights.last[0] - floor).abs() < rtol, "{case}");
+            let t = done.flights.t[0];
+            // Bounces are told from rest above these speeds, in f32 and in f64.
+            let slowest = if rtol > 1e-5 { 3e-3 } else { 3e-7 };
+            let rest = 2.0 * slowest / (9.81 * (1.0 - restitution));
+            assert!((t - exact).abs() < rest + 3.0 * rtol, "{case}: {t} {exact}");
+            let done = at_tolerance(&swing, rtol, &[1.0, 0.0, 0.0], 30.0);
+            assert_eq!(done.status(0), "zeno", "{case}, a pendulum");
+        }
+    }
+}
+
+/// Two events on one surface, one for each direction: each crossing is one of them.
+#[test]
+fn both_ways_through_one_surface() {
+    // Free above; below a spring, which gives back the speed.
+    let events = r#"
+        [events.down]
+        when = "x <= 0"
+        set = { n = 1 }
+        [events.up]
+        when = "x >= 0"
+        where = "n > 0.5"
+        set = { n = 0 }
+    "#;
+    let spring = oscillator(["v", "-9.81 - 1000*n*x"], events);
+    for (height, speed) in [(1.0, 0.0), (1e-3, -1.0), (1e-3, -0.01)] {
+        let options = SimulationOptions {
+            time: Some(20.0),
+            events: Some(12),
+            ..SimulationOptions::default()
+        };
+        let done = Session::new(&spring)
+            .simulate(Some(&[height, speed, 0.0]), &options)
+            .unwrap();
+        assert_eq!(done.status(0), "events", "{height} {speed}");
+        let fastest = (speed * speed + 2.0 * 9.81 * height).sqrt();
+        for (k, jump) in done.flights.jumps.iter().enumerate() {
+            assert_eq!(jump.event, k % 2, "{height} {speed}: crossing {k}");
+            let sign = if k % 2 == 0 { -1.0 } else { 1.0 };
+            assert!((jump.before[1] - sign * fastest).abs() < 1e-8 * fastest.max(1.0));
+        }
+    }
+}
+
+/// An event that ends the flight does so whatever else happens at that moment.
+#[test]
+fn an_end_at_the_moment_of_another_event() {
+    let turns = "[events.turns]\nwhen = \"x <= 0\"\nset = { v = \"-v\" }";
+    let ends = "[events.last]\nwhen = \"x <= 0\"\nwhere = \"n > 0.5\"\nends = true";
+    for (n, orders) in [(1.0, "event_last"), (0.0, "time")] {
+        for rest in [format!("{turns}\n{ends}"), format!("{ends}\n{turns}")] {
+            let ball = oscillator(["v", "-9.81"], &rest);
+            let done = simulated(&ball, &[1.0, 0.0, n], 0.6);
+            assert_eq!(done.status(0), orders, "{rest}");
+        }
+    }
+    // Nobody knows whether an event counts.
+    let unknown =
+        "[events.e]\nwhen = \"x <= 0\"\nwhere = \"sqrt(n - 1) >= 0\"\nset = { v = \"-v\" }";
+    let ball = oscillator(["v", "-9.81"], unknown);
+    let done = simulated(&ball, &[1.0, 0.0, 0.0], 1.0);
+    assert_eq!(done.status(0), "no_condition");
+    assert_eq!(simulated(&ball, &[1.0, 0.0, 1.5], 0.6).status(0), "time");
+}

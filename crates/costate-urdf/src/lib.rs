@@ -9,6 +9,7 @@ mod text;
 
 use costate::Scene;
 use costate::low_level::diagnostics::ScenarioErrors;
+use costate::low_level::mechanism::Impossible;
 use costate::session::MechanismAt;
 use names::Names;
 use std::collections::BTreeMap;
@@ -76,6 +77,30 @@ fn is_too_deep(text: &str) -> bool {
     deepest > DEEPEST
 }
 
+/// Which link's `<inertial>` lacks what it must have: parsers do not say.
+fn unfinished(text: &str) -> Option<String> {
+    (text.split("<link").skip(1)).find_map(|link| {
+        let link = link.split("</link>").next()?;
+        let inertial = link
+            .split("<inertial")
+            .nth(1)?
+            .split("</inertial>")
+            .next()?;
+        let missing = ["<mass", "<inertia"].iter().find(|tag| {
+            let mut found = inertial.match_indices(*tag);
+            !found
+                .any(|(at, _)| inertial[at + tag.len()..].starts_with([' ', '\n', '\t', '\r', '/']))
+        })?;
+        let name = link
+            .split("name=")
+            .nth(1)?
+            .get(1..)?
+            .split(['"', '\''])
+            .next()?;
+        Some(format!("; the inertial of link `{name}` has no {missing}>"))
+    })
+}
+
 /// A joint with the link that it moves.
 pub(crate) struct Part<'r> {
     pub joint: &'r Joint,
@@ -84,6 +109,8 @@ pub(crate) struct Part<'r> {
     pub name: String,
     pub parent: Option<String>,
     pub fixed: bool,
+    /// Where a joint that mimics another is fixed.
+    pub at: f64,
 }
 
 /// Reads a robot. `file` is for the scene's first line.
@@ -98,7 +125,10 @@ pub fn import(urdf: &str, file: &str) -> Result<Imported, ImportError> {
         let what = format!("its elements are nested more than {DEEPEST} deep");
         return Err(ImportError::Urdf(what));
     }
-    let robot = urdf_rs::read_from_string(urdf).map_err(|e| ImportError::Urdf(e.to_string()))?;
+    let robot = urdf_rs::read_from_string(urdf).map_err(|e| {
+        let place = unfinished(urdf).unwrap_or_default();
+        ImportError::Urdf(format!("{e}{place}"))
+    })?;
     let mut notes = Vec::new();
     let parts = parts(&robot, &mut notes)?;
     let joints = parts.iter().filter(|p| !p.fixed).count();
@@ -112,6 +142,14 @@ pub fn import(urdf: &str, file: &str) -> Result<Imported, ImportError> {
         check(part)?;
     }
     remarks(&robot, &parts, &mut notes);
+    for (tag, what) in [
+        ("<transmission", "transmissions"),
+        ("<gazebo", "what is for Gazebo"),
+    ] {
+        if urdf.contains(tag) {
+            notes.push(format!("left out: {what}"));
+        }
+    }
 
     let scene = text::Scene::new(&robot, &parts, file);
     // Torques that hold the robot where it is to stand are asked of the mechanism itself.
@@ -216,10 +254,12 @@ fn parts<'r>(robot: &'r Robot, notes: &mut Vec<String>) -> Result<Vec<Part<'r>>,
         for joint in here {
             let name = names.of(&joint.name, notes);
             let mimics = joint.mimic.is_some();
+            let at = if mimics { mimicked(robot, joint)? } else { 0.0 };
             if mimics {
                 notes.push(format!(
-                    "joint `{}` mimics another one: it is fixed at 0",
-                    joint.name
+                    "joint `{}` mimics another one: it is fixed at {}, where it is as the scene begins",
+                    joint.name,
+                    text::number(at)
                 ));
             }
             next.push((joint.child.link.as_str(), Some(name.clone())));
@@ -229,6 +269,7 @@ fn parts<'r>(robot: &'r Robot, notes: &mut Vec<String>) -> Result<Vec<Part<'r>>,
                 name,
                 parent: body.clone(),
                 fixed: joint.joint_type == JointType::Fixed || mimics,
+                at,
             });
         }
         open.extend(next.into_iter().rev());
@@ -237,6 +278,27 @@ fn parts<'r>(robot: &'r Robot, notes: &mut Vec<String>) -> Result<Vec<Part<'r>>,
         return tree("links hang on each other in a circle".to_owned());
     }
     Ok(parts)
+}
+
+/// Where a joint that mimics another (which may do so itself) is where the scene begins.
+fn mimicked(robot: &Robot, joint: &Joint) -> Result<f64, ImportError> {
+    // place = factor * (that of the joint) + shift
+    let (mut joint, mut factor, mut shift) = (joint, 1.0, 0.0);
+    for _ in 0..=robot.joints.len() {
+        let Some(mimic) = &joint.mimic else {
+            return Ok(factor * text::begin(joint) + shift);
+        };
+        shift += factor * mimic.offset.unwrap_or(0.0);
+        factor *= mimic.multiplier.unwrap_or(1.0);
+        let Some(other) = robot.joints.iter().find(|j| j.name == mimic.joint) else {
+            let (name, other) = (&joint.name, &mimic.joint);
+            let what = format!("joint `{name}` mimics `{other}`, and there is no such joint");
+            return Err(ImportError::Tree(what));
+        };
+        joint = other;
+    }
+    let what = format!("joints mimic each other in a circle: `{}`", joint.name);
+    Err(ImportError::Tree(what))
 }
 
 /// Refuses joints and numbers that no mechanism has.
@@ -259,7 +321,7 @@ fn check(part: &Part<'_>) -> Result<(), ImportError> {
         &joint.axis.xyz[..],
         &part.link.inertial.origin.xyz[..],
         &part.link.inertial.origin.rpy[..],
-        &[part.link.inertial.mass.value][..],
+        &[part.link.inertial.mass.value, part.at][..],
         &[inertia.ixx, inertia.ixy, inertia.ixz][..],
         &[inertia.iyy, inertia.iyz, inertia.izz][..],
     ];
@@ -313,6 +375,54 @@ fn remarks(robot: &Robot, parts: &[Part<'_>], notes: &mut Vec<String>) {
         notes.push(format!(
             "left out: limits that are no limits (lower not below upper, or negative) of {}",
             odd.join(", ")
+        ));
+    }
+    let moves = |j: &Joint| {
+        let part = parts.iter().find(|p| p.joint.name == j.name);
+        part.is_some_and(|p| !p.fixed)
+    };
+    let driven = |j: &Joint| {
+        use JointType::{Continuous, Prismatic, Revolute};
+        moves(j) && matches!(j.joint_type, Revolute | Continuous | Prismatic)
+    };
+    let unlimited = [
+        (
+            "position",
+            some(&|j| {
+                let [lower, upper] = [j.limit.lower, j.limit.upper];
+                let limited = j.joint_type != JointType::Continuous;
+                driven(j)
+                    && limited
+                    && (lower == 0.0 && upper == 0.0 || !(upper - lower).is_finite())
+            }),
+        ),
+        (
+            "velocity",
+            some(&|j| driven(j) && (j.limit.velocity == 0.0 || !j.limit.velocity.is_finite())),
+        ),
+        (
+            "effort",
+            some(&|j| driven(j) && (j.limit.effort == 0.0 || !j.limit.effort.is_finite())),
+        ),
+    ];
+    for (what, joints) in unlimited.iter().filter(|(_, joints)| !joints.is_empty()) {
+        notes.push(format!(
+            "no limit of {what} (missing, 0 or infinite, which is taken for none): {}",
+            joints.join(", ")
+        ));
+    }
+    let unlike: Vec<&str> = (parts.iter())
+        .filter(|p| {
+            text::inertia(p)
+                .impossible(false)
+                .is_some_and(Impossible::is_usable)
+        })
+        .map(|p| p.link.name.as_str())
+        .collect();
+    if !unlike.is_empty() {
+        notes.push(format!(
+            "no body has the inertia of {}: it is taken as it is (`unphysical = true`)",
+            unlike.join(", ")
         ));
     }
     let pushes = some(&|j| {

@@ -1,9 +1,10 @@
 //! The scene's text.
 
 use super::Part;
-use nalgebra::{Matrix3, Rotation3};
+use costate::low_level::mechanism::{Impossible, Inertia};
+use glam::{DMat3, DQuat, DVec3, EulerRot};
 use std::fmt::Write as _;
-use urdf_rs::{JointType, Robot};
+use urdf_rs::{Joint, JointType, Robot};
 
 /// Rates where a joint has no limit of velocity; way of a slide without limits, m.
 const RATE: f64 = 10.0;
@@ -26,17 +27,29 @@ struct Coordinate {
     effort: Option<f64>,
     unit: &'static str,
     force_unit: &'static str,
+    /// Whether it comes back after a turn.
+    repeats: bool,
 }
 
 impl Coordinate {
     /// Where the scene begins: at 0, or in the middle of the limits.
     fn place(&self) -> f64 {
-        let [lower, upper] = self.range;
-        match lower < 0.0 && upper > 0.0 {
-            true => 0.0,
-            false => 0.5 * (lower + upper),
-        }
+        begin_in(self.range)
     }
+}
+
+/// 0, or the middle of limits that leave it out.
+fn begin_in([lower, upper]: [f64; 2]) -> f64 {
+    match lower < 0.0 && upper > 0.0 {
+        true => 0.0,
+        false => 0.5 * (lower + upper),
+    }
+}
+
+/// A joint's limits, where it has some.
+fn range(joint: &Joint) -> Option<[f64; 2]> {
+    let [lower, upper] = [joint.limit.lower, joint.limit.upper];
+    (lower < upper && lower.is_finite() && upper.is_finite()).then_some([lower, upper])
 }
 
 impl<'r> Scene<'r> {
@@ -107,7 +120,8 @@ impl<'r> Scene<'r> {
         }
         let _ = writeln!(out, "\n[states]");
         for c in &all {
-            let _ = writeln!(out, "{} = {{ unit = \"{}\" }}", c.name, c.unit);
+            let period = if c.repeats { ", period = \"2*pi\"" } else { "" };
+            let _ = writeln!(out, "{} = {{ unit = \"{}\"{period} }}", c.name, c.unit);
         }
         guards(&all, &mut out);
         self.cost(&all, &motors, hold, &mut out);
@@ -199,6 +213,7 @@ fn coordinates(part: &Part<'_>) -> Vec<Coordinate> {
         effort: Some(limit.effort),
         unit: "rad",
         force_unit: "N m",
+        repeats: false,
     };
     let pi = std::f64::consts::PI;
     let way = |range: [f64; 2], limited: bool, name: String| Coordinate {
@@ -206,17 +221,28 @@ fn coordinates(part: &Part<'_>) -> Vec<Coordinate> {
         force_unit: "N",
         ..angle(name, range, limited)
     };
-    let limited = limit.lower < limit.upper && limit.lower.is_finite() && limit.upper.is_finite();
-    let range = [limit.lower, limit.upper];
+    let limits = range(joint);
     // Of bodies that float nothing is driven.
     let free = |c: Coordinate| Coordinate { effort: None, ..c };
     match joint.joint_type {
-        JointType::Revolute if limited => vec![angle(name.clone(), range, true)],
-        JointType::Revolute | JointType::Continuous => {
-            vec![angle(name.clone(), [-pi, pi], false)]
+        JointType::Continuous => vec![Coordinate {
+            repeats: true,
+            ..angle(name.clone(), [-pi, pi], false)
+        }],
+        JointType::Revolute => {
+            vec![angle(
+                name.clone(),
+                limits.unwrap_or([-pi, pi]),
+                limits.is_some(),
+            )]
         }
-        JointType::Prismatic if limited => vec![way(range, true, name.clone())],
-        JointType::Prismatic => vec![way([-WAY, WAY], false, name.clone())],
+        JointType::Prismatic => {
+            vec![way(
+                limits.unwrap_or([-WAY, WAY]),
+                limits.is_some(),
+                name.clone(),
+            )]
+        }
         JointType::Spherical => ["yaw", "pitch", "roll"]
             .map(|tail| free(angle(format!("{name}_{tail}"), [-1.5, 1.5], false)))
             .into(),
@@ -253,13 +279,32 @@ fn guards(all: &[Coordinate], out: &mut String) {
     }
 }
 
+/// Where a scene with this joint begins.
+pub fn begin(joint: &Joint) -> f64 {
+    match joint.joint_type {
+        JointType::Revolute | JointType::Prismatic => range(joint).map_or(0.0, begin_in),
+        _ => 0.0,
+    }
+}
+
+/// A number as it is written; -0 is 0.
+pub fn number(v: f64) -> String {
+    format!("{:?}", v + 0.0)
+}
+
+fn vector(v: &[f64]) -> String {
+    let all: Vec<String> = v.iter().map(|v| number(*v)).collect();
+    format!("[{}]", all.join(", "))
+}
+
+/// Turned by roll, pitch and yaw about fixed axes.
+fn turned([roll, pitch, yaw]: [f64; 3]) -> DQuat {
+    DQuat::from_euler(EulerRot::ZYX, yaw, pitch, roll)
+}
+
 /// A body's line.
 fn body(part: &Part<'_>) -> String {
     let joint = part.joint;
-    let vector = |v: &[f64]| {
-        let all: Vec<String> = v.iter().map(|v| format!("{v:?}")).collect();
-        format!("[{}]", all.join(", "))
-    };
     let kind = match joint.joint_type {
         _ if part.fixed => "fixed",
         JointType::Revolute | JointType::Continuous => "revolute",
@@ -273,55 +318,81 @@ fn body(part: &Part<'_>) -> String {
         keys.push(format!("parent = \"{parent}\""));
     }
     let zero = |v: &[f64]| v.iter().all(|v| *v == 0.0);
-    if !zero(&joint.origin.xyz[..]) {
-        keys.push(format!("at = {}", vector(&joint.origin.xyz[..])));
+    let (place, rpy) = frame(part);
+    if !zero(&place) {
+        keys.push(format!("at = {}", vector(&place)));
     }
-    if !zero(&joint.origin.rpy[..]) {
-        keys.push(format!("rpy = {}", vector(&joint.origin.rpy[..])));
+    if !zero(&rpy) {
+        keys.push(format!("rpy = {}", vector(&rpy)));
     }
     if matches!(kind, "revolute" | "prismatic") {
         keys.push(format!("axis = {}", vector(&joint.axis.xyz[..])));
     }
     let inertial = &part.link.inertial;
     if inertial.mass.value != 0.0 {
-        keys.push(format!("mass = {:?}", inertial.mass.value));
+        keys.push(format!("mass = {}", number(inertial.mass.value)));
         if !zero(&inertial.origin.xyz[..]) {
             keys.push(format!("com = {}", vector(&inertial.origin.xyz[..])));
         }
     }
-    let inertia = tensor(part);
-    if inertia.iter().any(|v| *v != 0.0) {
-        keys.push(format!("inertia = {}", vector(&inertia)));
+    let inertia = inertia(part);
+    if inertia.about_com != DMat3::ZERO {
+        let [x, y, z] = [
+            inertia.about_com.x_axis,
+            inertia.about_com.y_axis,
+            inertia.about_com.z_axis,
+        ];
+        keys.push(format!(
+            "inertia = {}",
+            vector(&[x.x, x.y, x.z, y.y, y.z, z.z])
+        ));
+    }
+    if inertia.impossible(false).is_some_and(Impossible::is_usable) {
+        keys.push("unphysical = true".to_owned());
     }
     let damping = joint.dynamics.as_ref().map_or(0.0, |d| d.damping);
     if damping > 0.0 && !part.fixed && matches!(kind, "revolute" | "prismatic") {
-        keys.push(format!("damping = {damping:?}"));
+        keys.push(format!("damping = {}", number(damping)));
     }
     format!("{} = {{ {} }}", part.name, keys.join(", "))
 }
 
-/// xx, xy, xz, yy, yz, zz along the axes of the joint's frame: URDF gives them along those of the
+/// Place and angles of the joint's frame in its parent's; that of a joint that mimics another is
+/// moved by where it is.
+fn frame(part: &Part<'_>) -> ([f64; 3], [f64; 3]) {
+    let joint = part.joint;
+    let (place, rpy) = (*joint.origin.xyz, *joint.origin.rpy);
+    let axis = DVec3::from(*joint.axis.xyz).try_normalize();
+    let (Some(axis), true) = (axis, part.at != 0.0) else {
+        return (place, rpy);
+    };
+    let turn = turned(rpy);
+    if joint.joint_type == JointType::Prismatic {
+        return ((DVec3::from(place) + turn * (part.at * axis)).into(), rpy);
+    }
+    let (yaw, pitch, roll) = (turn * DQuat::from_axis_angle(axis, part.at)).to_euler(EulerRot::ZYX);
+    (place, [roll, pitch, yaw])
+}
+
+/// Of a link, its tensor along the axes of the joint's frame: URDF gives it along those of the
 /// inertial frame.
-fn tensor(part: &Part<'_>) -> [f64; 6] {
+pub fn inertia(part: &Part<'_>) -> Inertia {
     let inertial = &part.link.inertial;
     let i = &inertial.inertia;
-    let own = Matrix3::new(
+    let own = DMat3::from_cols_array(&[
         i.ixx, i.ixy, i.ixz, i.ixy, i.iyy, i.iyz, i.ixz, i.iyz, i.izz,
-    );
-    let [roll, pitch, yaw] = *inertial.origin.rpy;
-    let all = match [roll, pitch, yaw] == [0.0; 3] {
+    ]);
+    let rpy = *inertial.origin.rpy;
+    let about_com = match rpy == [0.0; 3] {
         true => own,
         false => {
-            let turn = Rotation3::from_euler_angles(roll, pitch, yaw);
-            turn.matrix() * own * turn.matrix().transpose()
+            let turn = DMat3::from_quat(turned(rpy));
+            turn * own * turn.transpose()
         }
     };
-    [
-        all[(0, 0)],
-        all[(0, 1)],
-        all[(0, 2)],
-        all[(1, 1)],
-        all[(1, 2)],
-        all[(2, 2)],
-    ]
+    Inertia {
+        mass: inertial.mass.value,
+        com: DVec3::from(*inertial.origin.xyz),
+        about_com,
+    }
 }

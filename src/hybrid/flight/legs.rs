@@ -4,7 +4,7 @@
 use super::{End, Flight, Flights, MOST_SHORT, Options, SHORT, Simulator};
 use crate::backend::{BackendError, Run, Status, Trajectories, batch_limit};
 use crate::hybrid::between::{Point, crossing, points, suspect};
-use crate::hybrid::watch::{Grain, Watch};
+use crate::hybrid::watch::{Grain, Here, Watch};
 use std::collections::BTreeMap;
 
 /// Newton's corrections of an event's time; it is located when one is this small, relative to the
@@ -15,6 +15,8 @@ const LOCATED: f64 = 1e-13;
 /// be below so many of these.
 const ROUNDINGS: f64 = 64.0;
 const TOLERANCES: f64 = 10.0;
+/// So many corrections in a row that come no nearer show rounding.
+const STALE: usize = 3;
 /// Times that a suspected event between steps is looked for, and how many in a leg.
 const LOOKS: usize = 4;
 const SUSPECTS: usize = 16;
@@ -36,6 +38,44 @@ struct Early {
     /// Since the beginning of the leg, about; and the state there.
     t: f64,
     x: Vec<f64>,
+    /// Times before and after it.
+    between: [f64; 2],
+}
+
+/// An event whose time is looked for.
+struct Sought<'f> {
+    flight: &'f mut Flight,
+    event: usize,
+    /// It is no earlier than the first; the condition is true at the second, where one is known.
+    after: f64,
+    until: Option<f64>,
+    /// The nearest so far, and for how many corrections it has been that.
+    best: Option<Near>,
+    stale: usize,
+}
+
+/// A state near an event.
+struct Near {
+    flown: f64,
+    x: Vec<f64>,
+    here: Here,
+}
+
+impl<'f> Sought<'f> {
+    fn new(flight: &'f mut Flight, event: usize, between: Option<[f64; 2]>, grain: Grain) -> Self {
+        let watch = flight.watched[event];
+        let since = (watch.since - grain.time).max(0.0);
+        // Before a surface that is moved the condition may be true already.
+        let unmoved = between.filter(|_| watch.offset == 0.0);
+        Self {
+            after: unmoved.map_or(since, |[after, _]| after.max(since)),
+            until: between.map(|[_, until]| until),
+            flight,
+            event,
+            best: None,
+            stale: 0,
+        }
+    }
 }
 
 impl Simulator {
@@ -113,19 +153,21 @@ impl Simulator {
                         Some(early) => early.event,
                         None => self.nearest(&all, &flight.watched),
                     };
-                    let armed = flight.watched[event].armed;
-                    let lost = self.is_unknown(&all);
+                    let watch = flight.watched[event];
+                    let asked = watch.armed && self.is_unasked(&all, event);
+                    let lost = self.is_unknown(&all) || asked;
                     if lost || flight.short_legs > MOST_SHORT {
                         flight.end = Some(match lost {
                             true => End::NoCondition,
                             false => End::NotLocated,
                         });
                         Met::End
-                    } else if armed && self.counts(&all, event) {
+                    } else if watch.armed && self.counts(&all, event) {
                         Met::Event(event)
                     } else {
                         let here = self.condition(&all, event);
-                        flight.watched[event] = Watch::on(!armed, here, grain);
+                        let turned = Watch::on(!watch.armed, here, grain);
+                        flight.watched[event] = turned.from(flight.flown);
                         Met::Nothing
                     }
                 }
@@ -135,17 +177,20 @@ impl Simulator {
                 }
             };
             match met {
-                Met::Event(event) => at_events.push((flight, event)),
+                Met::Event(event) => {
+                    let ends = early.map(|early| early.between.map(|t| flight.leg + t));
+                    at_events.push(Sought::new(flight, event, ends, grain));
+                }
                 met => legs.push((flight, met)),
             }
         }
         self.locate(&mut at_events, options, flights)?;
-        legs.extend(at_events.into_iter().map(|(flight, event)| {
-            let met = match flight.end {
+        legs.extend(at_events.into_iter().map(|sought| {
+            let met = match sought.flight.end {
                 Some(_) => Met::End,
-                None => Met::Event(event),
+                None => Met::Event(sought.event),
             };
-            (flight, met)
+            (sought.flight, met)
         }));
         Ok(legs)
     }
@@ -219,8 +264,13 @@ impl Simulator {
                 if here.left <= 0.0 {
                     let t = crossing(a, here);
                     if early[k].as_ref().is_none_or(|known| t < known.t) {
-                        let x = Vec::new();
-                        early[k] = Some(Early { event, t, x });
+                        let (between, x) = ([a.t, here.t], Vec::new());
+                        early[k] = Some(Early {
+                            event,
+                            t,
+                            between,
+                            x,
+                        });
                     }
                     continue;
                 }
@@ -322,17 +372,16 @@ impl Simulator {
             .unwrap_or(0)
     }
 
-    /// Newton's method for the duration of phases that end at events.
+    /// Newton's method for the duration of phases that end at events, kept between a time at which
+    /// the condition is not true yet and one at which it is.
     fn locate(
         &mut self,
-        at: &mut [(&mut Flight, usize)],
+        at: &mut [Sought<'_>],
         options: &Options,
         flights: &mut Flights,
     ) -> Result<(), BackendError> {
         let n = self.states;
         let run = self.run(options, vec![1.0], n + 1);
-        let grain = self.grain(options);
-        let enough = (ROUNDINGS * self.precision.epsilon()).max(TOLERANCES * options.rtol);
         let mut open: Vec<usize> = (0..at.len()).collect();
         for correction in 1..=CORRECTIONS {
             if open.is_empty() {
@@ -340,7 +389,7 @@ impl Simulator {
             }
             let seeds: Vec<f64> = (open.iter())
                 .flat_map(|k| {
-                    let flight = &at[*k].0;
+                    let flight = &at[*k].flight;
                     flight.begin.iter().copied().chain([flight.flown])
                 })
                 .collect();
@@ -348,41 +397,89 @@ impl Simulator {
             flights.count(&flown);
             let mut still = Vec::new();
             for (j, k) in open.into_iter().enumerate() {
-                let (flight, event) = &mut at[k];
+                let sought = &mut at[k];
                 if flown.status[j] != Status::Reached {
-                    flight.end = Some(End::Failed(flown.status[j]));
+                    sought.flight.end = Some(End::Failed(flown.status[j]));
                     continue;
                 }
-                flight.x = flown.end[j * (n + 1)..][..n].to_vec();
-                let all = self.conditions.eval(&flight.x);
-                let here = self.condition(&all, *event);
-                let by = -here.ahead / here.slope;
-                // Elsewhere Newton's method has found where the condition ends, or came true before.
-                let is_there = here.slope <= 0.0 || here.is_flat(grain);
-                let is_there = is_there && flight.flown >= flight.leg - grain.time;
-                let limit = options.time - flight.t;
-                let last = correction == CORRECTIONS;
-                let share = if last { enough.max(LOCATED) } else { LOCATED };
-                if by.abs() <= share * flight.flown || flight.flown == 0.0 {
-                    if !is_there {
-                        flight.end = Some(End::NotLocated);
-                    }
-                    continue;
+                let x = flown.end[j * (n + 1)..][..n].to_vec();
+                let here = self.condition(&self.conditions.eval(&x), sought.event);
+                let there = sought.is_there(x, here);
+                if there || correction == CORRECTIONS || sought.stale >= STALE {
+                    self.settle(sought, options);
+                } else if sought.correct(here, options.time) {
+                    still.push(k);
                 }
-                let moved = flight.flown + by;
-                if last || !by.is_finite() || moved < 0.0 || moved > 1.5 * limit {
-                    // What rounding makes of an event right after another one.
-                    flight.end = Some(match flight.flown <= SHORT * flight.t {
-                        true => End::Zeno,
-                        false => End::NotLocated,
-                    });
-                    continue;
-                }
-                flight.flown = moved;
-                still.push(k);
             }
             open = still;
         }
         Ok(())
+    }
+
+    /// The nearest state that was found is the event's, if it is one.
+    fn settle(&self, sought: &mut Sought<'_>, options: &Options) {
+        let Some(Near { flown, x, here }) = sought.best.take() else {
+            return;
+        };
+        let grain = self.grain(options);
+        let rounding = ROUNDINGS * self.precision.epsilon();
+        let (by, share) = (
+            here.ahead / here.slope,
+            rounding.max(TOLERANCES * options.rtol),
+        );
+        let near = by.abs() <= share * flown || here.ahead.abs() <= rounding * here.size;
+        let comes = here.slope <= 0.0 || here.is_flat(grain);
+        let flight = &mut *sought.flight;
+        flight.end = match flown <= SHORT * flight.t {
+            _ if near && comes => None,
+            // What rounding makes of an event right after another one.
+            true => Some(End::Zeno),
+            false => Some(End::NotLocated),
+        };
+        (flight.flown, flight.x) = (flown, x);
+    }
+}
+
+impl Sought<'_> {
+    /// Keeps a state if it is the nearest so far; whether there is nothing nearer.
+    fn is_there(&mut self, x: Vec<f64>, here: Here) -> bool {
+        let flown = self.flight.flown;
+        let nearer = |best: &Near| here.ahead.abs() < best.here.ahead.abs();
+        match self.best.as_ref().is_none_or(nearer) {
+            true => {
+                self.best = Some(Near { flown, x, here });
+                self.stale = 0;
+            }
+            false => self.stale += 1,
+        }
+        let by = -here.ahead / here.slope;
+        by.abs() <= LOCATED * flown || flown == 0.0
+    }
+
+    /// The next time to look at; whether there is one. A flight that has none ends.
+    fn correct(&mut self, here: Here, longest: f64) -> bool {
+        let flight = &mut *self.flight;
+        match here.ahead > 0.0 {
+            true => self.after = self.after.max(flight.flown),
+            false => self.until = Some(self.until.unwrap_or(f64::INFINITY).min(flight.flown)),
+        }
+        let moved = flight.flown - here.ahead / here.slope;
+        let last = self.until.unwrap_or(1.5 * (longest - flight.t));
+        let inside = moved > self.after && moved < last;
+        flight.flown = match (inside, self.until) {
+            (true, _) => moved,
+            (false, Some(until)) => {
+                self.stale = 0;
+                0.5 * (self.after + until)
+            }
+            (false, None) => {
+                flight.end = Some(match flight.flown <= SHORT * flight.t {
+                    true => End::Zeno,
+                    false => End::NotLocated,
+                });
+                return false;
+            }
+        };
+        true
     }
 }

@@ -2,15 +2,15 @@
 
 use super::names::{Kind, MOST_LINKS, links};
 use crate::diagnostics::{Problem, shorten};
-use crate::mechanism::Inertia;
 use crate::mechanism::algebra::clean;
+use crate::mechanism::{Impossible, Inertia};
 use crate::model::Span;
 use crate::numeric::digits::plain;
 use crate::scenario::reader::{Reader, Section, Value};
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use toml::de::DeValue;
 
-/// How far a matrix may be from a rotation, and an inertia from one that a body has.
+/// How far a matrix may be from a rotation.
 const ROUNDING: f64 = 1e-9;
 
 /// A link as it is written.
@@ -440,11 +440,28 @@ impl<'a> Reader<'a> {
             let value = self.one_of(value, which, if which.planar { 0 } else { 1 })?;
             about_com = self.tensor(value, which)?;
         }
-        Some(Inertia {
+        let all = Inertia {
             mass,
             com,
             about_com,
-        })
+        };
+        let accepted = match body.get("unphysical") {
+            Some(value) => self.yes_or_no(value, &format!("`unphysical` of {what}"))?,
+            None => false,
+        };
+        let wrong = all.impossible(which.planar);
+        if let Some(why) = wrong.filter(|why| !(accepted && why.is_usable())) {
+            let message = format!("no body has the inertia of {what}: {why}");
+            let span = body.get("inertia").map_or(body.span.clone(), |v| v.span());
+            let problem = Problem::at(span, message, "about the centre of mass");
+            self.report(problem.with_help(match why {
+                Impossible::NoMass => "give it its mass; what a motor turns is the joint's `rotor`; `unphysical = true` takes the body as it is",
+                Impossible::TooLarge { .. } => "models in use have such, and their equations are good nevertheless: `unphysical = true` takes the body as it is",
+                _ => "a symmetric tensor without negative moments",
+            }));
+            return None;
+        }
+        Some(all)
     }
 
     /// A tensor of inertia about the centre of mass.
@@ -467,27 +484,6 @@ impl<'a> Reader<'a> {
                 _ => return None,
             }
         };
-        let size = tensor
-            .to_cols_array()
-            .iter()
-            .fold(0.0f64, |a, v| a.max(v.abs()));
-        let skew = (tensor - tensor.transpose()).to_cols_array();
-        if skew.iter().any(|v| v.abs() > ROUNDING * size) {
-            let message = format!("no body has {what}: it is not symmetric");
-            return self.refuse(value.span(), message, "about the centre of mass");
-        }
-        let [least, middle, most] = principal(&tensor);
-        if least < -ROUNDING * size {
-            let message = format!("no body has {what}: its least moment is {}", plain(least));
-            return self.refuse(value.span(), message, "below 0");
-        }
-        // Models in use have such; their equations are good nevertheless.
-        if most > least + middle + ROUNDING * size {
-            self.notes.push(format!(
-                "no body has {what}: its largest moment {most:.6e} is above the sum of the others, {:.6e}",
-                least + middle
-            ));
-        }
         Some(tensor)
     }
 
@@ -546,12 +542,4 @@ fn solid(name: &str, sizes: &[f64]) -> (DVec3, DMat3) {
     let DVec3 { x, y, z } = squares;
     let tensor = DMat3::from_diagonal(DVec3::new(y + z, z + x, x + y));
     (DVec3::new(middle, 0.0, 0.0), tensor)
-}
-
-/// Principal moments, the least first.
-fn principal(tensor: &DMat3) -> [f64; 3] {
-    let matrix = nalgebra::Matrix3::from_column_slice(&tensor.to_cols_array());
-    let mut moments = matrix.symmetric_eigenvalues();
-    moments.as_mut_slice().sort_by(f64::total_cmp);
-    [moments[0], moments[1], moments[2]]
 }

@@ -18,6 +18,8 @@ use toml::de::DeValue;
 const ROUNDING: f64 = 1e-8;
 /// States at which that is looked at.
 const STATES: usize = 5;
+/// Directions by name.
+const AXES: [(&str, DVec3); 3] = [("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)];
 
 /// Names of a contact's forces, with the constraints that they are of.
 pub(super) struct ContactName {
@@ -81,6 +83,10 @@ impl<'a> Reader<'a> {
     ) -> Option<(Vec<Constraint>, Vec<ContactName>)> {
         let (mut constraints, mut names) = (Vec::new(), Vec::new());
         let mut all_good = true;
+        if section.entries().next().is_none() {
+            let message = "[mechanism.contacts] names no point";
+            return self.refuse(section.span.clone(), message, "foot = {} holds a point");
+        }
         for (name, span, value) in section.entries() {
             match self.contact(name, &span, value, points, planar) {
                 Some(of_contact) => {
@@ -154,23 +160,10 @@ impl<'a> Reader<'a> {
             };
             return self.refuse(span.clone(), message, "nothing is held by it");
         }
-        let axes: &[(&str, DVec3)] = &[("x", DVec3::X), ("y", DVec3::Y), ("z", DVec3::Z)];
-        let axes = &axes[..if planar { 2 } else { 3 }];
+        let axes = &AXES[..if planar { 2 } else { 3 }];
         let directions: Vec<(String, DVec3)> = match table.get("along") {
             None => axes.iter().map(|(n, d)| (format!("f{n}"), *d)).collect(),
-            Some(along) => {
-                let direction = match along.get_ref() {
-                    DeValue::String(_) => self.choice(along, "direction", axes)?,
-                    _ => self.vector(along, &format!("the direction of {what}"), planar)?,
-                };
-                match direction.try_normalize() {
-                    Some(unit) => vec![("f".to_owned(), unit)],
-                    None => {
-                        let message = format!("the direction of {what} is 0");
-                        return self.refuse(along.span(), message, "no direction");
-                    }
-                }
-            }
+            Some(along) => vec![("f".to_owned(), self.direction(along, &what, planar)?)],
         };
         let constraint = |(tail, direction): (String, DVec3)| {
             let constraint = Constraint {
@@ -182,6 +175,26 @@ impl<'a> Reader<'a> {
             (tail, constraint)
         };
         Some(directions.into_iter().map(constraint).collect())
+    }
+
+    /// A direction in world axes: the name of one, or its components.
+    pub(super) fn direction(
+        &mut self,
+        along: &'a Value<'a>,
+        what: &str,
+        planar: bool,
+    ) -> Option<DVec3> {
+        let axes = &AXES[..if planar { 2 } else { 3 }];
+        let direction = match along.get_ref() {
+            DeValue::String(_) => self.choice(along, "direction", axes)?,
+            _ => self.vector(along, &format!("the direction of {what}"), planar)?,
+        };
+        let unit = direction.try_normalize();
+        if unit.is_none() {
+            let message = format!("the direction of {what} is 0");
+            return self.refuse(along.span(), message, "no direction");
+        }
+        unit
     }
 
     /// Refuses contacts that are not independent of each other, and dependent coordinates that do

@@ -6,6 +6,7 @@
 
 mod assemble;
 mod bodies;
+mod collisions;
 mod contacts;
 mod forces;
 mod names;
@@ -218,16 +219,21 @@ impl<'a> Reader<'a> {
                 continue;
             }
             reported.push(owner);
-            let message = format!("the joint `{}` moves no mass", body.name);
-            let problem = Problem::at(
-                structure.spans[i].clone(),
-                message,
-                "its acceleration would be infinite",
-            );
-            self.report(
-                problem
-                    .with_help("give the body a mass away from the axis, an inertia, or a rotor"),
-            );
+            let name = &body.name;
+            let (message, label, help) = match at.iter().any(|v| v[i].is_infinite()) {
+                true => (
+                    format!("the joint `{name}` moves more than numbers can say"),
+                    "its inertia is infinite",
+                    "masses and lengths are far out of proportion",
+                ),
+                false => (
+                    format!("the joint `{name}` moves no mass"),
+                    "its acceleration would be infinite",
+                    "give the body a mass away from the axis, an inertia, or a rotor",
+                ),
+            };
+            let problem = Problem::at(structure.spans[i].clone(), message, label);
+            self.report(problem.with_help(help));
         }
         reported.is_empty().then_some(())
     }

@@ -20,22 +20,19 @@ pub fn run(args: &ImportArgs) -> Result<(), CliError> {
             refuse(out, args)?;
             out.clone()
         }
-        None => {
-            let own =
-                PathBuf::from(args.file.file_stem().unwrap_or_default()).with_extension("toml");
-            if own.exists() {
-                return Err(ImportFileError::Exists { path: own }.into());
-            }
-            own
-        }
+        None => PathBuf::from(args.file.file_stem().unwrap_or_default()).with_extension("toml"),
     };
+    // What was made of a scene since it was imported is somebody's work.
+    if out.exists() {
+        return Err(ImportFileError::Exists { path: out }.into());
+    }
     let name = args.file.file_name().unwrap_or_default().to_string_lossy();
     let made = import(&text, &name).map_err(|error| ImportFileError::Robot { path, error })?;
     write_text(&out, &made.text)?;
     terminal.say(&format!(
         "{} joints, {} kg in motion: written to {}",
         made.joints,
-        made.mass,
+        six_digits(made.mass),
         out.display()
     ))?;
     for note in &made.notes {
@@ -67,4 +64,9 @@ fn refuse(out: &std::path::Path, args: &ImportArgs) -> Result<(), CliError> {
         true => Ok(()),
         false => Err(bad("a scene is TOML; name it .toml")),
     }
+}
+
+/// A sum as people read it.
+fn six_digits(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
 }

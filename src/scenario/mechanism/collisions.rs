@@ -1,0 +1,204 @@
+//! `collision` of an event: points that come to rest, and what of the contacts holds afterwards.
+
+use super::names::RATE;
+use crate::diagnostics::{Problem, shorten};
+use crate::expr::Id;
+use crate::mechanism::{Articulated, Constraint, Mechanism, Posed};
+use crate::model::{Kept, Span};
+use crate::scenario::reader::{Reader, Section, Value};
+use glam::DVec3;
+use rustc_hash::FxHashMap;
+use toml::de::DeValue;
+
+/// A direction that is this near to others is one of them.
+const ALONG: f64 = 1e-9;
+
+/// A plastic collision.
+pub(in crate::low_level::scenario) struct Collision {
+    /// q' after it, one a body of the tree.
+    pub rates: Vec<Id>,
+    /// What comes to rest.
+    constraints: Vec<Constraint>,
+    span: Span,
+}
+
+impl<'a> Reader<'a> {
+    /// The collision of an event in which points come to rest; closed chains stay closed, and points
+    /// that were held otherwise and are not named let go.
+    pub(in crate::low_level::scenario) fn collision(
+        &mut self,
+        what: &str,
+        value: &'a Value<'a>,
+        mechanism: Option<&Mechanism>,
+    ) -> Option<Collision> {
+        let Some(mechanism) = mechanism else {
+            if self.no_mechanism {
+                return None;
+            }
+            let message = format!("{what}: only points of a [mechanism] collide");
+            return self.refuse(value.span(), message, "no mechanism");
+        };
+        let DeValue::Array(entries) = value.get_ref() else {
+            let message = format!("the collision of {what} must be a list of points");
+            return self.refuse(value.span(), message, "such as [\"foot\"]");
+        };
+        let mut constraints: Vec<Constraint> = Vec::new();
+        for entry in entries {
+            constraints.extend(self.stopped(what, entry, mechanism)?);
+        }
+        if constraints.is_empty() {
+            let message = format!("the collision of {what} names no point");
+            return self.refuse(value.span(), message, "empty");
+        }
+        let joints = mechanism.constraints.iter();
+        constraints.extend(joints.filter(|c| c.against.is_some()).cloned());
+
+        let g = &mut self.graph;
+        let posed = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
+        if !self.are_independent(&posed, &constraints) {
+            let message = format!(
+                "the collision of {what} stops the same twice, or what cannot move: its impulses are not determined"
+            );
+            let problem = Problem::at(value.span(), message, "remove a point, or a direction");
+            let help = "{ point = \"foot\", along = \"y\" } stops a point in one direction";
+            self.report(problem.with_help(help));
+            return None;
+        }
+        let g = &mut self.graph;
+        let articulated = Articulated::new(g, &posed.motion);
+        let held = posed.held(g, &articulated, &constraints);
+        let (rates, _) = held.collision(g, &mechanism.rates);
+        Some(Collision {
+            rates,
+            constraints,
+            span: value.span(),
+        })
+    }
+
+    /// What an entry of a collision brings to rest: a point by name, in all directions in which it
+    /// moves, or along one.
+    fn stopped(
+        &mut self,
+        what: &str,
+        entry: &'a Value<'a>,
+        mechanism: &Mechanism,
+    ) -> Option<Vec<Constraint>> {
+        let of = format!("a point of {what}");
+        let (name, along) = match entry.get_ref() {
+            DeValue::Table(_) => {
+                let table: Section<'a> = self.table(entry, entry.span(), &of)?;
+                self.check_keys(&table, "events.collision");
+                let Some(point) = table.get("point") else {
+                    let message = format!("a collision of {what} has no point");
+                    let help = "{ point = \"foot\", along = \"y\" }";
+                    let problem = Problem::at(entry.span(), message, "`point` is missing");
+                    self.report(problem.with_help(help));
+                    return None;
+                };
+                (point, table.get("along"))
+            }
+            _ => (entry, None),
+        };
+        let known = self.string(name, &of)?;
+        let point = self.known_point(known, name.span(), &mechanism.points)?;
+        let all = mechanism.axes(point);
+        if let Some(along) = along {
+            let direction = self.direction(along, &of, mechanism.planar)?;
+            return Some(vec![Constraint {
+                direction,
+                ..all[0].clone()
+            }]);
+        }
+        // Where joints let a point move in one direction alone, it is stopped in that one.
+        let g = &mut self.graph;
+        let posed = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
+        let moving: Vec<Constraint> = (all.iter())
+            .filter(|c| self.are_independent(&posed, std::slice::from_ref(*c)))
+            .cloned()
+            .collect();
+        // None is refused with the others.
+        Some(if moving.is_empty() { all } else { moving })
+    }
+
+    /// What contacts keep as it is, after an event and before it; `after` are the states then, and
+    /// `turned` whether these have new names. A collision that lets go what no event could hold is
+    /// refused.
+    pub(in crate::low_level::scenario) fn kept(
+        &mut self,
+        what: &str,
+        mechanism: &Mechanism,
+        (collision, after): (Option<&Collision>, &FxHashMap<&str, Id>),
+        (relabels, sets): (bool, bool),
+    ) -> Option<Vec<Kept>> {
+        let lost = collision.filter(|_| !relabels && !sets).and_then(|c| {
+            let world = mechanism.constraints.iter().filter(|h| h.against.is_none());
+            let mut lost = world.filter(|held| !covers(&c.constraints, held));
+            Some((c, lost.next()?))
+        });
+        if let Some((collision, lost)) = lost {
+            let name = shorten(&lost.name);
+            let message = format!(
+                "the collision of {what} lets `{name}` go, and the contact goes on acting on it"
+            );
+            let label = format!("`{name}` is held, and not named");
+            let problem = Problem::at(collision.span.clone(), message, label);
+            self.report(problem.with_help("contacts hold in every phase: name the point too if it stays at rest; `relabel` states if another one is held from here on; what is free at times is held by no contact, but by forces of a floor"));
+            return None;
+        }
+        let depends = mechanism.free(&self.graph).len() < mechanism.q.len();
+        // Dependent coordinates follow whatever is set; what a collision makes of them must agree.
+        if mechanism.constraints.is_empty() || depends && (collision.is_none() || sets) {
+            return Some(Vec::new());
+        }
+        let names = mechanism.tree.bodies.iter().map(|b| b.name.as_str());
+        let mut becomes: FxHashMap<Id, Id> = FxHashMap::default();
+        for (i, name) in names.clone().enumerate() {
+            let rate = format!("{name}{RATE}");
+            becomes.extend(after.get(name).map(|q| (mechanism.q[i], *q)));
+            becomes.extend(after.get(rate.as_str()).map(|v| (mechanism.rates[i], *v)));
+        }
+        let q = self.graph.substitute(&mechanism.q, &becomes);
+        let rates: Vec<Id> = (names.enumerate())
+            .map(
+                |(i, name)| match after.get(format!("{name}{RATE}").as_str()) {
+                    Some(rate) => *rate,
+                    None => collision.map_or(mechanism.rates[i], |c| c.rates[i]),
+                },
+            )
+            .collect();
+        let g = &mut self.graph;
+        let then = Posed::new(g, &mechanism.tree, &q, &rates);
+        let before = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
+        let mut all = Vec::new();
+        for held in &mechanism.constraints {
+            let ((speed, gap), (speed_before, gap_before)) =
+                (then.kept(g, held), before.kept(g, held));
+            let mut keep = |after: Id, before: Id| {
+                all.push(Kept {
+                    contact: held.name.clone(),
+                    after,
+                    before,
+                });
+            };
+            keep(speed, speed_before);
+            if let (Some(gap), Some(gap_before)) = (gap, gap_before) {
+                keep(gap, gap_before);
+            }
+        }
+        Some(all)
+    }
+}
+
+/// Whether constraints bring a held point to rest along its direction.
+fn covers(stopped: &[Constraint], held: &Constraint) -> bool {
+    let mut left = held.direction;
+    let mut basis: Vec<DVec3> = Vec::new();
+    for c in stopped.iter().filter(|c| c.at == held.at) {
+        let new = basis.iter().fold(c.direction, |d, b| d - d.dot(*b) * *b);
+        if let Some(unit) = new.try_normalize().filter(|_| new.length() > ALONG) {
+            left -= left.dot(unit) * unit;
+            basis.push(unit);
+        }
+    }
+    left.length() < ALONG
+}
