@@ -47,6 +47,8 @@ pub(super) struct Scene<'s> {
     pub guards: &'s [Guard],
     pub region: Option<&'s [[f64; 2]]>,
     pub finite: bool,
+    /// Coordinates of a mechanism and their rates: other states may hold these, as controls do.
+    pub posture: &'s [Id],
 }
 
 impl<'a> Reader<'a> {
@@ -262,7 +264,8 @@ impl<'a> Reader<'a> {
         ))
     }
 
-    /// The controls, wherever they are, that keep the states where they are, in words.
+    /// The controls, wherever they are, that keep the states where they are, in words; of a
+    /// mechanism with its motors' states.
     fn holding(
         &self,
         at: &Equilibrium,
@@ -270,8 +273,13 @@ impl<'a> Reader<'a> {
         rates: &[Id],
         values: &FxHashMap<Id, f64>,
     ) -> Option<String> {
-        let symbols: Vec<Id> = scene.controls.iter().map(|c| c.variable.symbol).collect();
-        let given: Vec<f64> = at.u.iter().map(|p| p.value).collect();
+        let motors = (scene.states.iter().zip(&at.x))
+            .filter(|(s, _)| !scene.posture.is_empty() && !scene.posture.contains(&s.symbol));
+        let controls = (scene.controls.iter().zip(&at.u)).map(|(c, u)| (&c.variable, u.value));
+        let unknowns: Vec<(&Variable, f64)> =
+            motors.map(|(s, x)| (*s, x.value)).chain(controls).collect();
+        let symbols: Vec<Id> = unknowns.iter().map(|(v, _)| v.symbol).collect();
+        let given: Vec<f64> = unknowns.iter().map(|(_, value)| *value).collect();
         let held = self.root(
             rates,
             &symbols,
@@ -279,15 +287,20 @@ impl<'a> Reader<'a> {
             (&vec![1.0; given.len()], f64::INFINITY),
             values,
         )?;
-        if !scene.controls.iter().zip(&held).all(is_inside) {
+        let (motors, controls) = held.split_at(held.len() - scene.controls.len());
+        if !scene.controls.iter().zip(controls).all(is_inside) {
             return None;
         }
-        let written = scene.controls.iter().zip(&held);
+        let written = unknowns.iter().zip(motors.iter().chain(controls));
         let written: Vec<String> = written
-            .map(|(control, u)| format!("{} = {u:?}", control.variable.name))
+            .map(|((variable, _), value)| format!("{} = {value:?}", variable.name))
             .collect();
+        let states = match motors.is_empty() {
+            true => "these states are",
+            false => "this posture is",
+        };
         Some(format!(
-            "these states are held by {}; write that, or what it is as an expression (in the cost too, where it stands there)",
+            "{states} held by {}; write that, or what it is as an expression (in the cost too, where it stands there)",
             written.join(", ")
         ))
     }

@@ -12,6 +12,7 @@ use crate::expr::Id;
 use crate::mechanism::Mechanism;
 use crate::model::{DEFAULT_EVENTS, DEFAULT_PHASE_SAMPLES, Event, Kept, Simulation, Start};
 use rustc_hash::FxHashMap;
+use toml::de::DeValue;
 
 /// Events of one flight, and stored points of a phase, that a scene may ask for.
 const MOST_EVENTS: u32 = 1_000_000;
@@ -64,6 +65,10 @@ impl<'a> Reader<'a> {
         };
         // A guard is positive where its comparison holds; an event is met where it comes to hold.
         let met = self.condition(name, &format!("the `when` of {what}"), when)?;
+        if self.kinds_of(met.condition.expr).within(Kinds::PARAMETER) {
+            let message = format!("the `when` of {what} has no states: it never comes true");
+            return self.refuse(when.span(), message, "always the same");
+        }
         let ahead = self.graph.neg(met.condition.expr);
         let only = match table.get("where") {
             Some(only) => {
@@ -77,6 +82,12 @@ impl<'a> Reader<'a> {
             None => false,
         };
         let changes = ["collision", "relabel", "set"].map(|key| (key, table.get(key)));
+        for (key, value) in &changes {
+            if matches!(value.map(|v| v.get_ref()), Some(DeValue::Table(t)) if t.is_empty()) {
+                let message = format!("`{key}` of {what} changes nothing");
+                return self.refuse(table.key_span(key), message, "empty");
+            }
+        }
         let given = changes.iter().find(|(_, value)| value.is_some());
         match (ends, given) {
             (true, Some((key, _))) => {

@@ -38,7 +38,7 @@ mod turns;
 pub use crate::diagnostics::{Problem, ScenarioErrors};
 pub use document::{Document, Given};
 pub use keys::{CHAPTERS, Key, PROBLEM_SECTIONS, SectionKeys, markdown as reference};
-pub use report_section::{constant, definitions};
+pub use report_section::{constant, definitions, mechanism};
 pub use settings::{DEFAULT_ATOL_SHARE, DEFAULT_RTOL, DEFAULT_SAMPLES, DEFAULT_SPACING};
 
 use crate::files::{beginning, is_hdf5, read_text};

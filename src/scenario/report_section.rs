@@ -154,19 +154,63 @@ pub fn constant(text: &str, model: &Model) -> Result<f64, String> {
 /// Names and texts of a scene's definitions, as written; none where the text is no TOML.
 pub fn definitions(text: &str) -> Vec<(String, String)> {
     let (document, errors) = DeTable::parse_recoverable(text);
-    let section = document
-        .get_ref()
-        .get("definitions")
-        .filter(|_| errors.is_empty());
-    let Some(DeValue::Table(table)) = section.map(|s| s.get_ref()) else {
+    let section = document.get_ref().get("definitions");
+    match section.map(|s| s.get_ref()) {
+        Some(DeValue::Table(table)) if errors.is_empty() => entries(text, table),
+        _ => Vec::new(),
+    }
+}
+
+/// What a scene says of its mechanism, as written: `gravity`, `body NAME`, `point NAME` and so on.
+pub fn mechanism(text: &str) -> Vec<(String, String)> {
+    let (document, errors) = DeTable::parse_recoverable(text);
+    let section = document.get_ref().get("mechanism");
+    let Some(DeValue::Table(section)) = section.map(|s| s.get_ref()) else {
         return Vec::new();
     };
-    let written = |v: &Value<'_>| match v.get_ref() {
-        DeValue::String(s) => s.to_string(),
-        _ => text.get(v.span()).unwrap_or_default().to_owned(),
-    };
+    let mut all = Vec::new();
+    for (key, value) in section.iter().filter(|_| errors.is_empty()) {
+        let key = key.get_ref().to_string();
+        let noun = match key.as_str() {
+            "bodies" => "body",
+            "points" => "point",
+            "contacts" => "contact",
+            "forces" => "force",
+            other => other,
+        };
+        match value.get_ref() {
+            DeValue::Table(table) => {
+                let own = entries(text, table).into_iter();
+                all.extend(own.map(|(name, value)| (format!("{noun} {name}"), value)));
+            }
+            _ => all.push((key, written(text, value))),
+        }
+    }
+    all
+}
+
+fn entries(text: &str, table: &DeTable<'_>) -> Vec<(String, String)> {
     table
         .iter()
-        .map(|(k, v)| (k.get_ref().to_string(), written(v)))
+        .map(|(k, v)| (k.get_ref().to_string(), written(text, v)))
         .collect()
+}
+
+/// A value as it is written; a table under a heading of its own on one line.
+fn written(text: &str, value: &Value<'_>) -> String {
+    match value.get_ref() {
+        DeValue::String(s) => s.to_string(),
+        DeValue::Table(table) => {
+            let own = table.iter().map(|(k, v)| match v.get_ref() {
+                DeValue::Table(_) => format!("{} = {}", k.get_ref(), written(text, v)),
+                _ => format!(
+                    "{} = {}",
+                    k.get_ref(),
+                    text.get(v.span()).unwrap_or_default()
+                ),
+            });
+            format!("{{ {} }}", own.collect::<Vec<_>>().join(", "))
+        }
+        _ => text.get(value.span()).unwrap_or_default().to_owned(),
+    }
 }

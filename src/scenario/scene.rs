@@ -16,6 +16,7 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
+use crate::expr::Id;
 use crate::mechanism::Mechanism;
 use crate::model::{
     Attenuation, ClosedLoop, Control, Dissipation, Feedback, Guard, Homotopy, Horizon, Integrator,
@@ -321,9 +322,9 @@ impl<'a> Reader<'a> {
         let rates = moved.as_ref().map(|m| &m.rates);
         let (posed, notes) = self.posed(&sections, &declared, generated, rates);
         self.require_horizon(root, &sections, &posed.cost);
-        self.check_posed(&posed);
-        let reference = posed.reference();
         let mechanism = moved.as_ref().and_then(|m| m.mechanism.as_ref());
+        self.check_posed(&posed, mechanism);
+        let reference = posed.reference();
         let events = match sections.get("events") {
             Some(section) => self.events(section, &declared.states, mechanism),
             None => Some(Vec::new()),
@@ -420,7 +421,7 @@ impl<'a> Reader<'a> {
     }
 
     /// Reports what of the problem does not fit together: the equilibrium and the periods.
-    fn check_posed(&mut self, posed: &Posed) {
+    fn check_posed(&mut self, posed: &Posed, mechanism: Option<&Mechanism>) {
         let (Some(all), Some(controls)) = (&posed.states, &posed.controls) else {
             return;
         };
@@ -434,7 +435,11 @@ impl<'a> Reader<'a> {
         else {
             return;
         };
+        let posture: Vec<Id> = (mechanism.iter())
+            .flat_map(|m| m.q.iter().chain(&m.rates).copied())
+            .collect();
         let scene = Scene {
+            posture: &posture,
             states: &states,
             controls,
             disturbances,

@@ -23,6 +23,11 @@ fn a_robot_is_solved_for() {
     let [robot, scene] = [robot, scene].map(|p| p.display().to_string());
     let said = done(costate(&["import", &robot, "--out", &scene]));
     assert!(said.contains("2 joints, 3 kg"), "{said}");
+    // Not again: what is there may be somebody's work.
+    let again = costate(&["import", &robot, "--out", &scene]);
+    assert_eq!(again.status.code(), Some(2));
+    let text = String::from_utf8_lossy(&again.stderr).into_owned();
+    assert!(text.contains("is there already"), "{text}");
     // Upright: it is held without torques, and V is that of the scene.
     let checked = done(costate(&["check", &scene]));
     assert!(checked.contains("Riccati solution"), "{checked}");

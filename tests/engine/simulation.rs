@@ -548,3 +548,182 @@ fn an_end_at_the_moment_of_another_event() {
     assert_eq!(done.status(0), "no_condition");
     assert_eq!(simulated(&ball, &[1.0, 0.0, 1.5], 0.6).status(0), "time");
 }
+
+/// A mechanism with the same cost for all.
+fn mechanism(description: &str, region: &[&str]) -> Scene {
+    let region: String = (region.iter())
+        .map(|name| format!("{name} = [-9, 9]\n"))
+        .collect();
+    scene(&format!(
+        "{description}\n[controls]\nu = {{}}\n[cost]\nrunning = \"u^2\"\nterminal = \"0\"\nfinal_time = 1\n[region]\n{region}"
+    ))
+}
+
+/// A closed chain stays closed where a point of it strikes, and a point may strike along one
+/// direction, or where it cannot move along the others.
+#[test]
+fn a_collision_leaves_joints_closed() {
+    let five_bars = mechanism(
+        r#"
+        [mechanism]
+        gravity = [0, -9.81]
+        [mechanism.bodies]
+        a = { joint = "revolute", mass = 1, shape = { rod = 0.5 } }
+        b = { joint = "revolute", parent = "a", at = [0.5, 0], mass = 0.7, shape = { rod = 0.6 } }
+        d = { joint = "revolute", at = [0.8, 0], mass = 1.2, shape = { rod = 0.5 } }
+        c = { joint = "revolute", parent = "d", at = [0.5, 0], mass = 0.9, shape = { rod = 0.6 } }
+        [mechanism.points]
+        knee = { body = "b", at = [0.6, 0] }
+        other = { body = "c", at = [0.6, 0] }
+        [mechanism.contacts]
+        knee = { with = "other" }
+        [events.strike]
+        when = "knee.y <= -0.9"
+        collision = [{ point = "knee", along = "y" }]
+        "#,
+        &["a", "b", "d", "c", "a_rate", "b_rate", "d_rate", "c_rate"],
+    );
+    // Both knees at (0.4, -0.7): the angles of two legs of 0.5 and 0.6.
+    let (x, y) = (0.4f64, -0.7f64);
+    let (r, way) = (x.hypot(y), y.atan2(x));
+    let bend = ((0.25 + r * r - 0.36) / r).clamp(-1.0, 1.0).acos();
+    let a = way - bend;
+    let b = (y - 0.5 * a.sin()).atan2(x - 0.5 * a.cos()) - a;
+    let pi = std::f64::consts::PI;
+    let from = [a, b, pi - a, -b, 0.0, 0.0, 0.0, 0.0];
+    let options = SimulationOptions {
+        time: Some(2.0),
+        events: Some(1),
+        ..SimulationOptions::default()
+    };
+    let done = Session::new(&five_bars)
+        .simulate(Some(&from), &options)
+        .unwrap();
+    assert_eq!(done.status(0), "events");
+    let jump = &done.flights.jumps[0];
+    let at = costate::session::MechanismAt::new(&five_bars).unwrap();
+    let [before, after] = [&jump.before, &jump.after].map(|x| at.at(x, &[0.0], &[]));
+    assert!(before.points[0].velocity[1] < -1.0);
+    assert!(after.points[0].velocity[1].abs() < 1e-12);
+    for k in 0..2 {
+        let gap = after.points[0].velocity[k] - after.points[1].velocity[k];
+        assert!(gap.abs() < 1e-10, "the chain opens at {gap}");
+    }
+    // What is lost is orthogonal to what is left, by the mass matrix.
+    let change: Vec<f64> = (0..4)
+        .map(|i| jump.after[4 + i] - jump.before[4 + i])
+        .collect();
+    let product: f64 = (0..4)
+        .flat_map(|i| (0..4).map(move |j| (i, j)))
+        .map(|(i, j)| change[i] * before.mass_matrix[i][j] * jump.after[4 + j])
+        .sum();
+    assert!(product.abs() < 1e-12, "{product}");
+    assert!(change.iter().any(|v| v.abs() > 0.1));
+
+    let hopper = mechanism(
+        r#"
+        [mechanism]
+        gravity = [0, -9.81]
+        [mechanism.bodies]
+        foot = { joint = "prismatic", axis = "y", mass = 0.5 }
+        leg = { joint = "prismatic", axis = "y", parent = "foot", mass = 5, spring = 800, rest = 0.6 }
+        [mechanism.points]
+        toe = { body = "foot" }
+        [events.touchdown]
+        when = "toe.y <= 0"
+        collision = ["toe"]
+        "#,
+        &["foot", "leg", "foot_rate", "leg_rate"],
+    );
+    let done = simulated(&hopper, &[0.5, 0.6, 0.0, 0.0], 0.4);
+    let [_, _, foot, leg] = done.flights.jumps[0].after[..] else {
+        panic!("four states");
+    };
+    // The foot stops; the mass goes on.
+    assert!(foot.abs() < 1e-12 && (leg + (2.0 * 9.81 * 0.5f64).sqrt()).abs() < 1e-9);
+}
+
+/// A contact that an event breaks ends the flight: its forces would keep what is broken.
+#[test]
+fn a_contact_that_an_event_breaks() {
+    let rod = |event: &str| {
+        mechanism(
+            &format!(
+                r#"
+                [mechanism]
+                gravity = [0, -9.81]
+                [mechanism.bodies]
+                rod = {{ joint = "planar", mass = 1, shape = {{ rod = 1 }} }}
+                [mechanism.points]
+                pin = {{ body = "rod" }}
+                tip = {{ body = "rod", at = [1, 0] }}
+                [mechanism.contacts]
+                pin = {{}}
+                [events.strike]
+                when = "tip.y <= -0.5"
+                {event}
+                "#
+            ),
+            &[
+                "rod_x",
+                "rod_y",
+                "rod",
+                "rod_x_rate",
+                "rod_y_rate",
+                "rod_rate",
+            ],
+        )
+    };
+    let from = [0.0; 6];
+    for (event, ends) in [
+        ("set = { rod_rate = \"-0.5*rod_rate\" }", "time"),
+        ("collision = [\"pin\"]", "time"),
+        ("set = { rod_x_rate = 1 }", "contact_lost"),
+        (
+            "collision = [\"tip\"]\nset = { rod_rate = \"rod_rate\" }",
+            "contact_lost",
+        ),
+    ] {
+        let done = simulated(&rod(event), &from, 0.6);
+        assert_eq!(done.status(0), ends, "{event}");
+        assert!(!done.flights.jumps.is_empty(), "{event}");
+    }
+    // With dependent coordinates no state can say so: what the collision makes of them is compared.
+    let gait = std::fs::read_to_string(format!("{}/scenarios/compass_gait.toml", crate::ROOT));
+    let limping = gait.unwrap().replace(
+        "relabel = { stance = \"swing\", swing = \"stance\" }",
+        "relabel = { stance = \"stance\", swing = \"swing\" }",
+    );
+    let scene = Scene::parse(&limping, "limping.toml").unwrap();
+    let done = Session::new(&scene)
+        .simulate(None, &SimulationOptions::default())
+        .unwrap();
+    assert_eq!(done.status(0), "contact_lost");
+}
+
+/// Equations that have a value nowhere are refused; those that have one somewhere are not.
+#[test]
+fn equations_need_values() {
+    let text = |rate: &str, running: &str| {
+        format!(
+            "states = {{ x = {{}} }}\ncontrols = {{ u = {{ min = 1, max = 2 }} }}\ndynamics = {{ x = \"{rate} + u\" }}\n\
+             cost = {{ running = \"{running} + u^2\", terminal = \"0\", final_time = 1 }}\nregion = {{ x = [-1, 1] }}\n"
+        )
+    };
+    for (rate, running, words) in [
+        (
+            "log(-1 - x^2)",
+            "0",
+            "dx/dt is a finite number nowhere in the region",
+        ),
+        ("1e308*10", "0", "dx/dt is a finite"),
+        ("x", "asin(2 + x^2)", "the running cost is a finite"),
+    ] {
+        let error = Scene::parse(&text(rate, running), "scene.toml").unwrap_err();
+        assert!(
+            error.to_string().contains(words) || error.render(false).contains(words),
+            "{error}"
+        );
+    }
+    assert!(Scene::parse(&text("log(x)", "1/x"), "scene.toml").is_ok());
+}

@@ -152,3 +152,100 @@ fn what_is_no_robot_is_refused() {
         "finite",
     );
 }
+
+#[test]
+fn what_a_robot_leaves_open_is_said() {
+    let said = |text: &str| import(text, "arm.urdf").unwrap();
+    // The continuous joint repeats, and has no limits of rate and force.
+    let made = said(ARM);
+    assert!(
+        made.text
+            .contains("elbow = { unit = \"rad\", period = \"2*pi\" }")
+    );
+    let notes = made.notes.join("\n");
+    for words in [
+        "no limit of velocity (missing, 0 or infinite, which is taken for none): elbow",
+        "no limit of effort",
+    ] {
+        assert!(notes.contains(words), "{words}: {notes}");
+    }
+    assert!(!notes.contains("no limit of position"), "{notes}");
+    let zero = ARM.replace("lower=\"-1\" upper=\"2\"", "lower=\"0\" upper=\"0\"");
+    let notes = said(&zero).notes.join("\n");
+    assert!(
+        notes.contains(
+            "no limit of position (missing, 0 or infinite, which is taken for none): shoulder pan"
+        ),
+        "{notes}"
+    );
+    let more = ARM.replace("</robot>", "<transmission name=\"t\"/><gazebo/></robot>");
+    let notes = said(&more).notes.join("\n");
+    assert!(
+        notes.contains("transmissions") && notes.contains("Gazebo"),
+        "{notes}"
+    );
+    // What no body has is taken as it is, and written so.
+    let odd = ARM.replace("izz=\"0.004\"", "izz=\"0.4\"");
+    let made = said(&odd);
+    assert!(made.text.contains("unphysical = true"));
+    let notes = made.notes.join("\n");
+    assert!(
+        notes.contains("no body has the inertia of upper"),
+        "{notes}"
+    );
+    assert!(!made.text.contains("-0.0,") && !made.text.contains("-0.0]"));
+}
+
+/// A joint that mimics another is where it is as the scene begins: against the same robot with that
+/// joint moved there by hand.
+#[test]
+fn a_joint_that_mimics() {
+    let joint = |rest: &str| {
+        format!(
+            "<link name=\"finger\"><inertial><origin xyz=\"0 0.1 0\"/><mass value=\"0.3\"/><inertia ixx=\"0.001\" ixy=\"0\" ixz=\"0\" iyy=\"0.002\" iyz=\"0\" izz=\"0.0025\"/></inertial></link>\
+             <joint name=\"grip\" type=\"revolute\"><parent link=\"tool\"/><child link=\"finger\"/>{rest}</joint></robot>"
+        )
+    };
+    let with = |rest: &str| import(&ARM.replace("</robot>", &joint(rest)), "arm.urdf");
+    // The pan begins in the middle of limits that leave out 0.
+    let limits = |text: String| text.replace("lower=\"-1\"", "lower=\"1\"");
+    let mimics = joint(
+        "<origin xyz=\"0 0 0.05\" rpy=\"0.3 0 0\"/><axis xyz=\"1 0 0\"/><limit lower=\"-1\" upper=\"1\" effort=\"1\" velocity=\"1\"/><mimic joint=\"shoulder pan\" multiplier=\"-0.5\" offset=\"0.25\"/>",
+    );
+    let made = import(&limits(ARM.replace("</robot>", &mimics)), "arm.urdf").unwrap();
+    // -0.5 * 1.5 + 0.25 about x, after 0.3 about x.
+    let moved = joint("<origin xyz=\"0 0 0.05\" rpy=\"-0.2 0 0\"/>")
+        .replace("type=\"revolute\"", "type=\"fixed\"");
+    let by_hand = import(&limits(ARM.replace("</robot>", &moved)), "arm.urdf").unwrap();
+    let notes = made.notes.join("\n");
+    assert!(
+        notes.contains("joint `grip` mimics another one: it is fixed at -0.5"),
+        "{notes}"
+    );
+    let [here, there] = [&made, &by_hand].map(|made| {
+        let scene = Scene::parse(&made.text, "arm.toml").unwrap();
+        let at = MechanismAt::new(&scene).unwrap();
+        at.at(&[1.2, 0.4, 0.1, -0.2], &[0.0, 0.0], &[])
+    });
+    for (a, b) in here
+        .mass_matrix
+        .concat()
+        .iter()
+        .zip(there.mass_matrix.concat())
+    {
+        assert!((a - b).abs() < 1e-14, "{a} {b}");
+    }
+    for (a, b) in here.bias.iter().zip(&there.bias) {
+        assert!((a - b).abs() < 1e-13, "{a} {b}");
+    }
+    let unknown = with("<axis xyz=\"1 0 0\"/><mimic joint=\"elbw\"/>").unwrap_err();
+    assert!(unknown.to_string().contains("mimics `elbw`"), "{unknown}");
+    let circle = with("<axis xyz=\"1 0 0\"/><mimic joint=\"grip\"/>").unwrap_err();
+    assert!(circle.to_string().contains("circle"), "{circle}");
+    let nothing = ARM.replace(
+        "<inertia ixx=\"0.001\" ixy=\"0\" ixz=\"0\" iyy=\"0.008\" iyz=\"0\" izz=\"0.008\"/>",
+        "",
+    );
+    let error = import(&nothing, "arm.urdf").unwrap_err().to_string();
+    assert!(error.contains("link `fore` has no <inertia>"), "{error}");
+}

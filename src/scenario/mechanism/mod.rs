@@ -220,18 +220,19 @@ impl<'a> Reader<'a> {
             }
             reported.push(owner);
             let name = &body.name;
-            let (message, label, help) = match at.iter().any(|v| v[i].is_infinite()) {
-                true => (
-                    format!("the joint `{name}` moves more than numbers can say"),
-                    "its inertia is infinite",
-                    "masses and lengths are far out of proportion",
-                ),
-                false => (
-                    format!("the joint `{name}` moves no mass"),
-                    "its acceleration would be infinite",
-                    "give the body a mass away from the axis, an inertia, or a rotor",
-                ),
-            };
+            let (message, label, help) =
+                match reported.len() == 1 && at.iter().all(|v| !v[i].is_finite()) {
+                    true => (
+                        format!("the joint `{name}` moves more than numbers can say"),
+                        "its inertia is infinite",
+                        "masses and lengths are far out of proportion",
+                    ),
+                    false => (
+                        format!("the joint `{name}` moves no mass"),
+                        "its acceleration would be infinite",
+                        "give the body a mass away from the axis, an inertia, or a rotor",
+                    ),
+                };
             let problem = Problem::at(structure.spans[i].clone(), message, label);
             self.report(problem.with_help(help));
         }
@@ -346,7 +347,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The kinds of symbols that an expression depends on.
-    fn kinds_of(&self, expr: Id) -> Kinds {
+    pub(super) fn kinds_of(&self, expr: Id) -> Kinds {
         let symbols = self.graph.reachable(&[expr]).into_iter();
         symbols
             .filter_map(|id| self.graph.as_symbol(id))

@@ -31,7 +31,10 @@ struct Motion {
 
 pub fn picture(source: &Source<'_>) -> Made {
     let Some((figure, motion, track)) = track(source)? else {
-        return Ok(None);
+        return match &source.model.mechanism {
+            Some(_) => Err("no trajectory is stored; `--trajectories` stores those of `solve` and `homotopy`, and `costate simulate` its flights".to_owned()),
+            None => Ok(None),
+        };
     };
     let count = SHOWN.min(track.len().max(2));
     let figures = even(&track, count);
