@@ -146,8 +146,9 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
             },
             SectionKeys {
                 name: "dynamics",
-                about: "Required. One entry for each state: its time derivative, an expression of parameters, states,\n\
-                    controls, disturbances and definitions. It must be affine in controls and disturbances.",
+                about: "Required. One entry for each state (but those that a `[mechanism]` makes): its time derivative, an\n\
+                    expression of parameters, states, controls, disturbances and definitions. It must be affine in controls\n\
+                    and disturbances.",
                 keys: &[],
             },
             SectionKeys {

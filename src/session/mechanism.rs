@@ -1,7 +1,7 @@
 //! The mechanism of a scene at chosen states: what the recursions give there, and whether they agree
 //! with each other.
 
-use crate::expr::{Graph, Id};
+use crate::expr::{Graph, Id, Kind};
 use crate::mechanism::{Articulated, Mechanism, Posed};
 use crate::model::Model;
 use crate::numeric::random::uniform;
@@ -325,6 +325,10 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
     let bias = motion.joint_forces(g, None, true, None);
     let mass = motion.mass_matrix(g);
 
+    let two = g.constant(2.0);
+    let loose: Vec<Id> = (0..second.len())
+        .map(|i| g.symbol(&format!("rate {i} before a collision"), Kind::Parameter))
+        .collect();
     let mut sums = Vec::new();
     let mut inverse = Vec::new();
     let mut composite = Vec::new();
@@ -342,7 +346,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
         places: inverse,
     });
     sums.push(Sum {
-        name: "M q'' + C q' + G = forces (composite bodies)",
+        name: "M q'' + C q' + G = forces",
         places: composite,
     });
     sums.push(Sum {
@@ -351,6 +355,19 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
             .flat_map(|i| (0..i).map(move |j| (i, j)))
             .map(|(i, j)| vec![mass[i][j], g.neg(mass[j][i])])
             .collect(),
+    });
+    // Twice the kinetic energy, of the bodies' velocities, is q'.M q'.
+    let twice = g.mul(two, mechanism.energy.kinetic);
+    let mut terms = vec![g.neg(twice)];
+    for (i, row) in mass.iter().enumerate() {
+        for (j, m) in row.iter().enumerate() {
+            let momentum = g.mul(*m, mechanism.rates[j]);
+            terms.push(g.mul(mechanism.rates[i], momentum));
+        }
+    }
+    sums.push(Sum {
+        name: "kinetic energy = 1/2 q'.M q'",
+        places: vec![terms],
     });
     // d(kinetic + potential of gravity)/dt = q' . forces
     let free: Vec<Id> = mechanism.free(g);
@@ -380,9 +397,12 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
                 .collect(),
         });
         // A collision: M dq' = J' impulse, all held points at rest after it, and the energy that is
-        // lost is that of dq'.
-        let (after, impulses) = held.collision(g, &mechanism.rates);
-        let change: Vec<Id> = (after.iter().zip(&mechanism.rates))
+        // lost is that of dq'. Rates before it are any: what contacts hold has no impulse.
+        let struck = Posed::new(g, &mechanism.tree, &mechanism.q, &loose);
+        let its = Articulated::new(g, &struck.motion);
+        let held = struck.held(g, &its, &mechanism.constraints);
+        let (after, impulses) = held.collision(g, &loose);
+        let change: Vec<Id> = (after.iter().zip(&loose))
             .map(|(after, before)| g.sub(*after, *before))
             .collect();
         let through = held.generalized(g, &impulses);
@@ -392,9 +412,6 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
                     .map(|(m, v)| g.mul(*m, *v))
                     .collect();
                 terms.push(g.neg(through[i]));
-                // Against the momentum that there is: what is held already has no impulse.
-                let own = g.mul(mass[i][i], mechanism.rates[i]);
-                terms.extend([own, g.neg(own)]);
                 terms
             })
             .collect();
@@ -414,13 +431,13 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
             places: (rest.iter().zip(&before))
                 .map(|(rest, before)| {
                     let mut terms = vec![g.sub(*rest, *before), *before];
-                    let speeds = mechanism.rates.iter();
+                    let speeds = loose.iter();
                     terms.extend(speeds.flat_map(|v| [*v, g.neg(*v)]));
                     terms
                 })
                 .collect(),
         });
-        let kinetic = posed.kinetic(g);
+        let kinetic = struck.kinetic(g);
         let (left, lost) = (settled.kinetic(g), of_change.kinetic(g));
         sums.push(Sum {
             name: "kinetic energy lost = 1/2 dq'.M dq'",
@@ -452,7 +469,7 @@ fn identities(model: &Model, mechanism: &Mechanism) -> Vec<Identity> {
         .map(|s| s.places.iter().map(Vec::len).collect())
         .collect();
     let outputs: Vec<Id> = sums.iter().flat_map(|s| s.places.concat()).collect();
-    let symbols = inputs(model);
+    let symbols = [inputs(model), loose].concat();
     let program = lower(g, model, &symbols, &outputs);
     let follows = free.len() < mechanism.q.len();
     let (mut worst, mut seen) = (vec![0.0f64; sums.len()], vec![false; sums.len()]);

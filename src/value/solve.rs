@@ -12,6 +12,7 @@ use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
 use crate::dynamic_programming::{self, Device, GridValue, Options};
+use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
@@ -153,6 +154,40 @@ pub struct Answers {
 }
 
 impl Answers {
+    /// The guard that a target's trajectory leaves, or that the target itself is outside of: the one
+    /// with the least margin, as a share of its size along the trajectory. `None` where no guard is
+    /// why it was not solved.
+    pub fn guard_left<'m>(&self, model: &'m Model, target: usize) -> Option<&'m str> {
+        let miss = self.misses[target].as_ref()?;
+        let n = model.states.len();
+        let states: Vec<Vec<f64>> = match miss.status {
+            PointStatus::OutsideGuard => vec![self.targets.state(target).to_vec()],
+            PointStatus::LeavesGuard => {
+                let path = miss.cut.as_ref()?;
+                let absolute = |node: &[f64]| -> Vec<f64> {
+                    let deviations = node[..n].iter().zip(model.reference());
+                    deviations.map(|(s, reference)| s + reference).collect()
+                };
+                path.nodes.chunks(path.width).map(absolute).collect()
+            }
+            _ => return None,
+        };
+        let share = |condition: Id| -> f64 {
+            let (mut least, mut largest) = (f64::INFINITY, 0.0f64);
+            for x in &states {
+                let mut values = model.parameter_values();
+                let symbols = model.states.iter().map(|s| s.variable.symbol);
+                values.extend(symbols.zip(x.iter().copied()));
+                let margin = model.graph.eval(&[condition], &values)[0];
+                (least, largest) = (least.min(margin), largest.max(margin.abs()));
+            }
+            if largest > 0.0 { least / largest } else { 0.0 }
+        };
+        let shares = model.guards.iter().map(|g| (share(g.condition.expr), g));
+        let least = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        Some(least.1.name.as_str())
+    }
+
     /// The solution that is the answer at a target: that of least V. In a game the one on the sheet
     /// that the equilibrium's becomes along the straight line to the target, if it does not fold on
     /// that line nor along the trajectory, and V is not negative; without an equilibrium the only

@@ -716,7 +716,6 @@ fn equations_need_values() {
             "0",
             "dx/dt is a finite number nowhere in the region",
         ),
-        ("1e308*10", "0", "dx/dt is a finite"),
         ("x", "asin(2 + x^2)", "the running cost is a finite"),
     ] {
         let error = Scene::parse(&text(rate, running), "scene.toml").unwrap_err();

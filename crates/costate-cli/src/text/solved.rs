@@ -233,7 +233,10 @@ fn missed(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
     let missed: Vec<usize> = (0..answers.targets.len()).filter(open).collect();
     let mut lines: Vec<String> = (missed.iter().take(SHOWN))
         .map(|&t| {
-            let reason = answers.status(t).name().replace('_', " ");
+            let mut reason = answers.status(t).name().replace('_', " ");
+            if let Some(guard) = answers.guard_left(done.model, t) {
+                reason = format!("{reason} `{guard}`");
+            }
             let furthest = answers.misses[t].as_ref().and_then(|m| m.furthest.as_ref());
             let furthest = furthest.map_or_else(String::new, |x| format!("; furthest {}", show(x)));
             format!("  {reason}: {}{furthest}", show(answers.targets.state(t)))
