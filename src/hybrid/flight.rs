@@ -537,14 +537,14 @@ impl Simulator {
         flight.watched.clear();
         flight.end = if !finite {
             Some(End::NoState)
-        } else if lost.is_some() {
-            Some(End::ContactLost)
         } else if ends.is_some() {
             ends
         } else if flight.short >= MOST_SHORT {
             Some(End::Zeno)
         } else if flight.phase >= options.events {
             Some(End::Events)
+        } else if lost.is_some() {
+            Some(End::ContactLost)
         } else {
             None
         };

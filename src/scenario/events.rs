@@ -175,9 +175,8 @@ impl<'a> Reader<'a> {
         }
         let kept = match mechanism {
             Some(mechanism) => {
-                let relabels = table.get("relabel").is_some();
                 let of = (collision.as_ref(), &renamed);
-                self.kept(what, mechanism, of, (relabels, sets))?
+                self.kept(mechanism, of, sets)
             }
             None => Vec::new(),
         };

@@ -6,7 +6,7 @@ use crate::diagnostics::Problem;
 use crate::model::Located;
 
 /// States of the region at which values are looked for.
-const STATES: usize = 64;
+const STATES: usize = 1024;
 
 impl Reader<'_> {
     /// Refuses rates, and a running cost, that have a finite value nowhere in the region; the

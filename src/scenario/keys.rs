@@ -255,13 +255,6 @@ pub static CHAPTERS: &[(&str, &[SectionKeys])] = &[
                         "about the centre of mass, along the body's axes",
                     ),
                     key(
-                        "unphysical",
-                        "true or false",
-                        "",
-                        "false",
-                        "the inertia is taken as it is, even if no body has it: moments without a mass, or one above the sum of the others",
-                    ),
-                    key(
                         "shape",
                         "a table",
                         "",

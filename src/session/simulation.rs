@@ -156,10 +156,10 @@ impl Session<'_> {
         if let Some(lost) = flights.lost {
             let event = &self.scene.model.events[lost.event];
             self.progress.note(&format!(
-                "flight {} ends at event `{}`: contact `{}` does not hold after it (off by {:.3e}), and contact forces would keep that as it is",
+                "flight {}: contact `{}` does not hold after event `{}` (off by {:.3e}), and its forces would keep that as it is",
                 lost.flight + 1,
-                event.name,
                 event.kept[lost.kept].contact,
+                event.name,
                 lost.by
             ));
         }

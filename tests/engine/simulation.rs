@@ -679,6 +679,7 @@ fn a_contact_that_an_event_breaks() {
         ("set = { rod_rate = \"-0.5*rod_rate\" }", "time"),
         ("collision = [\"pin\"]", "time"),
         ("set = { rod_x_rate = 1 }", "contact_lost"),
+        ("collision = [\"tip\"]", "contact_lost"),
         (
             "collision = [\"tip\"]\nset = { rod_rate = \"rod_rate\" }",
             "contact_lost",

@@ -421,7 +421,7 @@ fn remarks(robot: &Robot, parts: &[Part<'_>], notes: &mut Vec<String>) {
         .collect();
     if !unlike.is_empty() {
         notes.push(format!(
-            "no body has the inertia of {}: it is taken as it is (`unphysical = true`)",
+            "no body has the inertia of {}: it is taken as it is",
             unlike.join(", ")
         ));
     }

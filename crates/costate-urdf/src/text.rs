@@ -1,7 +1,7 @@
 //! The scene's text.
 
 use super::Part;
-use costate::low_level::mechanism::{Impossible, Inertia};
+use costate::low_level::mechanism::Inertia;
 use glam::{DMat3, DQuat, DVec3, EulerRot};
 use std::fmt::Write as _;
 use urdf_rs::{Joint, JointType, Robot};
@@ -346,9 +346,6 @@ fn body(part: &Part<'_>) -> String {
             "inertia = {}",
             vector(&[x.x, x.y, x.z, y.y, y.z, z.z])
         ));
-    }
-    if inertia.impossible(false).is_some_and(Impossible::is_usable) {
-        keys.push("unphysical = true".to_owned());
     }
     let damping = joint.dynamics.as_ref().map_or(0.0, |d| d.damping);
     if damping > 0.0 && !part.fixed && matches!(kind, "revolute" | "prismatic") {

@@ -2,8 +2,8 @@
 
 use super::names::{Kind, MOST_LINKS, links};
 use crate::diagnostics::{Problem, shorten};
+use crate::mechanism::Inertia;
 use crate::mechanism::algebra::clean;
-use crate::mechanism::{Impossible, Inertia};
 use crate::model::Span;
 use crate::numeric::digits::plain;
 use crate::scenario::reader::{Reader, Section, Value};
@@ -445,21 +445,15 @@ impl<'a> Reader<'a> {
             com,
             about_com,
         };
-        let accepted = match body.get("unphysical") {
-            Some(value) => self.yes_or_no(value, &format!("`unphysical` of {what}"))?,
-            None => false,
-        };
-        let wrong = all.impossible(which.planar);
-        if let Some(why) = wrong.filter(|why| !(accepted && why.is_usable())) {
+        if let Some(why) = all.impossible(which.planar) {
             let message = format!("no body has the inertia of {what}: {why}");
+            // Models in use have such; their equations are good nevertheless.
+            if why.is_usable() {
+                self.notes.push(message);
+                return Some(all);
+            }
             let span = body.get("inertia").map_or(body.span.clone(), |v| v.span());
-            let problem = Problem::at(span, message, "about the centre of mass");
-            self.report(problem.with_help(match why {
-                Impossible::NoMass => "give it its mass; what a motor turns is the joint's `rotor`; `unphysical = true` takes the body as it is",
-                Impossible::TooLarge { .. } => "models in use have such, and their equations are good nevertheless: `unphysical = true` takes the body as it is",
-                _ => "a symmetric tensor without negative moments",
-            }));
-            return None;
+            return self.refuse(span, message, "about the centre of mass");
         }
         Some(all)
     }

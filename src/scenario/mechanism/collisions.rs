@@ -1,25 +1,18 @@
 //! `collision` of an event: points that come to rest, and what of the contacts holds afterwards.
 
 use super::names::RATE;
-use crate::diagnostics::{Problem, shorten};
+use crate::diagnostics::Problem;
 use crate::expr::Id;
 use crate::mechanism::{Articulated, Constraint, Mechanism, Posed};
-use crate::model::{Kept, Span};
+use crate::model::Kept;
 use crate::scenario::reader::{Reader, Section, Value};
-use glam::DVec3;
 use rustc_hash::FxHashMap;
 use toml::de::DeValue;
-
-/// A direction that is this near to others is one of them.
-const ALONG: f64 = 1e-9;
 
 /// A plastic collision.
 pub(in crate::low_level::scenario) struct Collision {
     /// q' after it, one a body of the tree.
     pub rates: Vec<Id>,
-    /// What comes to rest.
-    constraints: Vec<Constraint>,
-    span: Span,
 }
 
 impl<'a> Reader<'a> {
@@ -68,11 +61,7 @@ impl<'a> Reader<'a> {
         let articulated = Articulated::new(g, &posed.motion);
         let held = posed.held(g, &articulated, &constraints);
         let (rates, _) = held.collision(g, &mechanism.rates);
-        Some(Collision {
-            rates,
-            constraints,
-            span: value.span(),
-        })
+        Some(Collision { rates })
     }
 
     /// What an entry of a collision brings to rest: a point by name, in all directions in which it
@@ -121,34 +110,17 @@ impl<'a> Reader<'a> {
     }
 
     /// What contacts keep as it is, after an event and before it; `after` are the states then, and
-    /// `turned` whether these have new names. A collision that lets go what no event could hold is
-    /// refused.
+    /// `sets` whether coordinates or rates among them are set.
     pub(in crate::low_level::scenario) fn kept(
         &mut self,
-        what: &str,
         mechanism: &Mechanism,
         (collision, after): (Option<&Collision>, &FxHashMap<&str, Id>),
-        (relabels, sets): (bool, bool),
-    ) -> Option<Vec<Kept>> {
-        let lost = collision.filter(|_| !relabels && !sets).and_then(|c| {
-            let world = mechanism.constraints.iter().filter(|h| h.against.is_none());
-            let mut lost = world.filter(|held| !covers(&c.constraints, held));
-            Some((c, lost.next()?))
-        });
-        if let Some((collision, lost)) = lost {
-            let name = shorten(&lost.name);
-            let message = format!(
-                "the collision of {what} lets `{name}` go, and the contact goes on acting on it"
-            );
-            let label = format!("`{name}` is held, and not named");
-            let problem = Problem::at(collision.span.clone(), message, label);
-            self.report(problem.with_help("contacts hold in every phase: name the point too if it stays at rest; `relabel` states if another one is held from here on; what is free at times is held by no contact, but by forces of a floor"));
-            return None;
-        }
+        sets: bool,
+    ) -> Vec<Kept> {
         let depends = mechanism.free(&self.graph).len() < mechanism.q.len();
         // Dependent coordinates follow whatever is set; what a collision makes of them must agree.
         if mechanism.constraints.is_empty() || depends && (collision.is_none() || sets) {
-            return Some(Vec::new());
+            return Vec::new();
         }
         let names = mechanism.tree.bodies.iter().map(|b| b.name.as_str());
         let mut becomes: FxHashMap<Id, Id> = FxHashMap::default();
@@ -185,20 +157,6 @@ impl<'a> Reader<'a> {
                 keep(gap, gap_before);
             }
         }
-        Some(all)
+        all
     }
-}
-
-/// Whether constraints bring a held point to rest along its direction.
-fn covers(stopped: &[Constraint], held: &Constraint) -> bool {
-    let mut left = held.direction;
-    let mut basis: Vec<DVec3> = Vec::new();
-    for c in stopped.iter().filter(|c| c.at == held.at) {
-        let new = basis.iter().fold(c.direction, |d, b| d - d.dot(*b) * *b);
-        if let Some(unit) = new.try_normalize().filter(|_| new.length() > ALONG) {
-            left -= left.dot(unit) * unit;
-            basis.push(unit);
-        }
-    }
-    left.length() < ALONG
 }
