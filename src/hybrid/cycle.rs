@@ -8,14 +8,15 @@ use crate::model::{Event, Method, Precision};
 use crate::program::Program;
 use nalgebra::{DMatrix, DVector};
 
-/// Newton's steps, and how small the last one must be, relative to the state; or in tolerances.
+/// Newton's steps, and how small the last one must be, in widths of the region; or in tolerances.
 const STEPS: usize = 40;
 const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
 /// Multipliers nearer to 1 than this are those of a family of orbits.
 const NEUTRAL: f64 = 1e-6;
-/// Least size of a state that residuals are relative to.
-const LEAST_SIZE: f64 = 1e-3;
+/// Longest step, and how far from the guess an orbit may begin, in widths.
+const LONGEST: f64 = 0.5;
+const FURTHEST: f64 = 3.0;
 
 /// A periodic orbit.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +27,7 @@ pub struct Cycle {
     /// Eigenvalues of the return map (re, im), the largest first. States after an event lie on a
     /// surface: one of them is 0 for each condition that an event leaves met.
     pub multipliers: Vec<[f64; 2]>,
-    /// |return map - start|, relative to the state.
+    /// |return map - start|, in widths of the region.
     pub residual: f64,
     pub iterations: usize,
 }
@@ -56,7 +57,7 @@ impl Cycle {
 pub enum CycleError {
     /// A flight from near the guess, or an iterate, ended in another way.
     NoReturn { start: Vec<f64>, end: End },
-    /// |return map - start| is left, relative to the state.
+    /// |return map - start| is left, in widths of the region.
     Diverged { residual: f64 },
 }
 
@@ -139,7 +140,6 @@ impl Orbits {
         let mut x = DVector::from_column_slice(guess);
         let mut residual = f64::INFINITY;
         for iterations in 1..=STEPS {
-            let size = x.amax().max(LEAST_SIZE);
             let flown = self.simulator.fly(x.as_slice(), &options)?;
             if flown.end[0] != End::Events {
                 return Ok(Err(CycleError::NoReturn {
@@ -150,13 +150,18 @@ impl Orbits {
             let map = self.linearized(x.as_slice(), &flown.jumps, &options)?;
             let back = DVector::from_column_slice(&flown.last);
             let off = &back - &x;
-            residual = off.amax() / size;
-            let step = (DMatrix::identity(n, n) - &map).lu().solve(&off);
-            let step = step.filter(|s| s.iter().all(|v| v.is_finite()));
+            let widths = |v: &DVector<f64>| {
+                let shares = v.iter().zip(&options.widths).map(|(v, w)| (v / w).abs());
+                shares.fold(0.0, f64::max)
+            };
+            residual = widths(&off);
+            let apart = DMatrix::identity(n, n) - &map;
             // Of a family of orbits none is singled out: any that is back will do.
-            let is_back = residual <= closed;
-            let is_small = (step.as_ref()).is_some_and(|s| s.amax() <= closed * size);
-            if is_back || is_small {
+            let is_family = apart.clone().svd(false, false).singular_values.min() < NEUTRAL;
+            let step = apart.lu().solve(&off);
+            let step = step.filter(|s| s.iter().all(|v| v.is_finite()));
+            let is_small = step.as_ref().is_some_and(|s| widths(s) <= closed);
+            if is_small || is_family && residual <= closed {
                 let eigenvalues = map.complex_eigenvalues();
                 let mut multipliers: Vec<[f64; 2]> =
                     eigenvalues.iter().map(|e| [e.re, e.im]).collect();
@@ -170,9 +175,11 @@ impl Orbits {
                     iterations,
                 }));
             }
-            match step {
-                Some(step) => x += step,
-                None => break,
+            let Some(step) = step else { break };
+            let share = (LONGEST / widths(&step)).min(1.0);
+            x += share * step;
+            if widths(&(&x - DVector::from_column_slice(guess))) > FURTHEST {
+                break;
             }
         }
         Ok(Err(CycleError::Diverged { residual }))

@@ -147,6 +147,8 @@ pub struct Options {
     pub rtol: f64,
     /// One a state.
     pub atol: Vec<f64>,
+    /// Of the region.
+    pub widths: Vec<f64>,
     /// Of a fixed-step method.
     pub step: f64,
     pub max_steps: u32,
@@ -240,6 +242,9 @@ impl Simulator {
         let moving: FxHashMap<Id, Id> = x.iter().copied().zip(rates.iter().copied()).collect();
         let slopes = graph.tangents(&ahead, &moving);
         let curves = graph.tangents(&slopes, &moving);
+        let gradients: Vec<Id> = (ahead.iter())
+            .flat_map(|ahead| graph.gradient(*ahead, x))
+            .collect();
         let duration = graph.symbol("phase duration", Kind::Parameter);
         let mut scaled =
             |of: &[Id]| -> Vec<Id> { of.iter().map(|f| graph.mul(duration, *f)).collect() };
@@ -286,12 +291,13 @@ impl Simulator {
         };
         let of_state = |roots: &[Id]| Program::lower(graph, x, roots);
         let conditions = of_state(&conditions);
+        let gradients = of_state(&gradients);
         Ok(Self {
             states: n,
             precision,
             adaptive: method.adaptive(),
             at_once: (0..all.len()).map(|k| k >= events.len()).collect(),
-            sizes: sizes(&conditions, states, n, all.len()),
+            sizes: sizes((&conditions, &gradients), states, n, all.len()),
             guarded: backend.compile(&spec(&inputs, &slope, true, false))?,
             plain: backend.compile(&spec(&plain_inputs, &[], false, false))?,
             stored: backend.compile(&spec(&plain_inputs, &[], false, true))?,
@@ -414,11 +420,13 @@ impl Simulator {
             // What has just happened is true, and what a flight begins with has not come true.
             let just = flight.after == Some(event);
             let begins = flight.phase == 0;
-            let known = match just || begins {
+            let known = match just || begins && here.ahead <= 0.0 {
                 true => Some(false),
                 false => flight.known[event],
             };
-            let side = match *at_once && here.ahead <= 0.0 {
+            // A guard holds on its surface; where a jump leads back from there it goes on holding.
+            let turns_back = !begins && here.is_on_surface(grain) && here.leaves(grain);
+            let side = match *at_once && here.ahead <= 0.0 && !turns_back {
                 true => Side::Met,
                 false => Watch::at(here, known, grain),
             };
@@ -519,15 +527,27 @@ impl Simulator {
             flight.known.fill(None);
         }
         flight.known[event] = Some(false);
-        // What is on its surface at the same moment comes true, too.
+        // What is on its surface at the same moment: what is armed comes true, too, if the state goes
+        // into it after the jump; what was true stays so.
         let (grain, mut ends) = (self.grain(options), None);
         for other in (0..self.at_once.len()).filter(|o| *o != event) {
             let here = self.condition(&all, other);
-            if flight.known[other].is_none() && here.is_on_surface(grain) && here.slope < 0.0 {
-                flight.known[other] = Some(true);
-                if self.maps[other].is_none() && self.counts(&all, other) {
-                    ends = ends.or(Some(End::At(other)));
-                }
+            if flight.known[other].is_some() || !here.is_on_surface(grain) {
+                continue;
+            }
+            // Its side tells more than its watch, but for rounding; that may have been turned past this
+            // moment.
+            let off = here.slope.abs() * 2.0 * legs::LOCATED * flight.flown;
+            let rounding = legs::ROUNDINGS * self.precision.epsilon() * here.size + off;
+            let watch = flight.watched.get(other);
+            let armed = match here.ahead.abs() > rounding {
+                true => here.ahead > 0.0,
+                false => watch.is_none_or(|w| w.armed != (w.since > flight.flown)),
+            };
+            flight.known[other] = Some(armed);
+            let is_event = self.maps[other].is_none() && !self.at_once[other];
+            if armed && is_event && here.slope < 0.0 && self.counts(&all, other) {
+                ends = ends.or(Some(End::At(other)));
             }
         }
         flight.begin.clone_from(&after);
@@ -612,14 +632,24 @@ impl Simulator {
     }
 }
 
-/// The largest value of each condition at some states; 1 where there is none.
-fn sizes(conditions: &Program, states: &[f64], n: usize, count: usize) -> Vec<f64> {
+/// The largest value of each condition at some states, or of what its rounding is a share of: of x
+/// times its derivative by that; 1 where there is none.
+fn sizes(
+    (conditions, gradients): (&Program, &Program),
+    states: &[f64],
+    n: usize,
+    count: usize,
+) -> Vec<f64> {
     let mut sizes = vec![0.0f64; count];
     for x in states.chunks(n) {
-        let all = conditions.eval(x);
-        for (size, value) in sizes.iter_mut().zip(&all) {
-            if value.is_finite() {
-                *size = size.max(value.abs());
+        let (all, slopes) = (conditions.eval(x), gradients.eval(x));
+        for (k, size) in sizes.iter_mut().enumerate() {
+            let slopes = slopes[k * n..][..n].iter().zip(x);
+            let terms: f64 = slopes.map(|(slope, x)| (slope * x).abs()).sum();
+            for value in [all[k].abs(), terms] {
+                if value.is_finite() {
+                    *size = size.max(value);
+                }
             }
         }
     }

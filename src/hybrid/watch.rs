@@ -25,7 +25,7 @@ impl Grain {
     pub fn new(time: f64, precision: Precision) -> Self {
         let (near, rounding, height) = match precision {
             Precision::F64 => (1e-10, 1e-12, 1e-15),
-            Precision::F32 => (1e-5, 1e-5, 1e-7),
+            Precision::F32 => (1e-5, 1e-5, 5e-7),
         };
         Self {
             time: near * time,

@@ -77,6 +77,32 @@ fn is_too_deep(text: &str) -> bool {
     deepest > DEEPEST
 }
 
+/// The text with 0 for what limits leave out: parsers ask for it.
+fn with_limits(text: &str) -> String {
+    let mut parts = text.split("<limit");
+    let mut all = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        all += "<limit";
+        let (tag, rest) = part.split_at(part.find('>').unwrap_or(part.len()));
+        let (tag, end) = match tag.strip_suffix('/') {
+            Some(tag) => (tag, "/"),
+            None => (tag, ""),
+        };
+        all += tag;
+        if part.starts_with([' ', '\n', '\t', '\r', '/', '>']) {
+            for name in ["effort", "velocity"]
+                .into_iter()
+                .filter(|n| !tag.contains(*n))
+            {
+                all += &format!(" {name}=\"0\"");
+            }
+        }
+        all += end;
+        all += rest;
+    }
+    all
+}
+
 /// Which link's `<inertial>` lacks what it must have: parsers do not say.
 fn unfinished(text: &str) -> Option<String> {
     (text.split("<link").skip(1)).find_map(|link| {
@@ -125,9 +151,11 @@ pub fn import(urdf: &str, file: &str) -> Result<Imported, ImportError> {
         let what = format!("its elements are nested more than {DEEPEST} deep");
         return Err(ImportError::Urdf(what));
     }
-    let robot = urdf_rs::read_from_string(urdf).map_err(|e| {
+    let robot = urdf_rs::read_from_string(&with_limits(urdf)).map_err(|e| {
         let place = unfinished(urdf).unwrap_or_default();
-        ImportError::Urdf(format!("{e}{place}"))
+        let text = e.to_string();
+        let text = text.strip_prefix("custom: ").unwrap_or(&text);
+        ImportError::Urdf(format!("{text}{place}"))
     })?;
     let mut notes = Vec::new();
     let parts = parts(&robot, &mut notes)?;

@@ -178,6 +178,9 @@ fn what_a_robot_leaves_open_is_said() {
         ),
         "{notes}"
     );
+    let bare = ARM.replace(" effort=\"50\" velocity=\"3\"", "");
+    let notes = said(&bare).notes.join("\n");
+    assert!(notes.contains("no limit of velocity (missing, 0 or infinite, which is taken for none): shoulder pan, elbow"), "{notes}");
     let more = ARM.replace("</robot>", "<transmission name=\"t\"/><gazebo/></robot>");
     let notes = said(&more).notes.join("\n");
     assert!(

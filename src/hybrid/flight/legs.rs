@@ -10,10 +10,10 @@ use std::collections::BTreeMap;
 /// Newton's corrections of an event's time; it is located when one is this small, relative to the
 /// phase.
 const CORRECTIONS: usize = 20;
-const LOCATED: f64 = 1e-13;
+pub(super) const LOCATED: f64 = 1e-13;
 /// Where rounding, or the tolerance of a step, keeps corrections from falling that far, the last must
 /// be below so many of these.
-const ROUNDINGS: f64 = 64.0;
+pub(super) const ROUNDINGS: f64 = 64.0;
 const TOLERANCES: f64 = 10.0;
 /// So many corrections in a row that come no nearer show rounding.
 const STALE: usize = 3;
@@ -154,15 +154,14 @@ impl Simulator {
                         None => self.nearest(&all, &flight.watched),
                     };
                     let watch = flight.watched[event];
-                    let asked = watch.armed && self.is_unasked(&all, event);
-                    let lost = self.is_unknown(&all) || asked;
+                    let lost = self.is_unknown(&all);
                     if lost || flight.short_legs > MOST_SHORT {
                         flight.end = Some(match lost {
                             true => End::NoCondition,
                             false => End::NotLocated,
                         });
                         Met::End
-                    } else if watch.armed && self.counts(&all, event) {
+                    } else if watch.armed {
                         Met::Event(event)
                     } else {
                         let here = self.condition(&all, event);
@@ -186,11 +185,25 @@ impl Simulator {
         }
         self.locate(&mut at_events, options, flights)?;
         legs.extend(at_events.into_iter().map(|sought| {
-            let met = match sought.flight.end {
-                Some(_) => Met::End,
-                None => Met::Event(sought.event),
+            let Sought { flight, event, .. } = sought;
+            let all = self.conditions.eval(&flight.x);
+            let met = match flight.end {
+                Some(End::Failed(_)) => Met::End,
+                _ if self.is_unasked(&all, event) => {
+                    flight.end = Some(End::NoCondition);
+                    Met::End
+                }
+                None if self.counts(&all, event) => Met::Event(event),
+                Some(_) if self.counts(&all, event) => Met::End,
+                // It is passed by.
+                _ => {
+                    let here = self.condition(&all, event);
+                    flight.end = None;
+                    flight.watched[event] = Watch::on(false, here, grain).from(flight.flown);
+                    Met::Nothing
+                }
             };
-            (sought.flight, met)
+            (flight, met)
         }));
         Ok(legs)
     }
@@ -428,11 +441,12 @@ impl Simulator {
             rounding.max(TOLERANCES * options.rtol),
         );
         let near = by.abs() <= share * flown || here.ahead.abs() <= rounding * here.size;
-        let comes = here.slope <= 0.0 || here.is_flat(grain);
+        let comes = here.slope <= 0.0;
         let flight = &mut *sought.flight;
-        flight.end = match flown <= SHORT * flight.t {
+        // What rounding makes of an event right after another one, or of bounces lower than that.
+        let again = flight.after == Some(sought.event) && here.is_flat(grain);
+        flight.end = match flown <= SHORT * flight.t || again {
             _ if near && comes => None,
-            // What rounding makes of an event right after another one.
             true => Some(End::Zeno),
             false => Some(End::NotLocated),
         };

@@ -118,8 +118,9 @@ impl<'a> Reader<'a> {
         sets: bool,
     ) -> Vec<Kept> {
         let depends = mechanism.free(&self.graph).len() < mechanism.q.len();
-        // Dependent coordinates follow whatever is set; what a collision makes of them must agree.
-        if mechanism.constraints.is_empty() || depends && (collision.is_none() || sets) {
+        // Dependent coordinates follow whatever is set; what a collision makes of them, or leaves as it
+        // is, must agree.
+        if mechanism.constraints.is_empty() || depends && sets {
             return Vec::new();
         }
         let names = mechanism.tree.bodies.iter().map(|b| b.name.as_str());

@@ -32,7 +32,7 @@ struct Motion {
 pub fn picture(source: &Source<'_>) -> Made {
     let Some((figure, motion, track)) = track(source)? else {
         return match &source.model.mechanism {
-            Some(_) => Err("no trajectory is stored; `--trajectories` stores those of `solve` and `homotopy`, and `costate simulate` its flights".to_owned()),
+            Some(_) => Err("no trajectory is stored; `--trajectories` stores those of `solve` and `homotopy`, and `costate simulate` its flights, unless `--samples` is 0".to_owned()),
             None => Ok(None),
         };
     };
