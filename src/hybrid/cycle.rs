@@ -14,6 +14,8 @@ const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
 /// Multipliers nearer to 1 than this are those of a family of orbits.
 const NEUTRAL: f64 = 1e-6;
+/// How near an orbit begins to the surface of its event, relative to the condition.
+const AFTER: f64 = 1e-9;
 /// Longest step, and how far from the guess an orbit may begin, in widths.
 const LONGEST: f64 = 0.5;
 const FURTHEST: f64 = 3.0;
@@ -134,11 +136,13 @@ impl Orbits {
         let options = Options {
             events,
             samples: 0,
+            // It begins with the state after an event.
+            begins: AFTER,
             ..options.clone()
         };
         let closed = CLOSED.max(TOLERANCES * options.rtol);
         let mut x = DVector::from_column_slice(guess);
-        let mut residual = f64::INFINITY;
+        let (mut residual, mut is_near) = (f64::INFINITY, false);
         for iterations in 1..=STEPS {
             let flown = self.simulator.fly(x.as_slice(), &options)?;
             if flown.end[0] != End::Events {
@@ -157,11 +161,15 @@ impl Orbits {
             residual = widths(&off);
             let apart = DMatrix::identity(n, n) - &map;
             // Of a family of orbits none is singled out: any that is back will do.
-            let is_family = apart.clone().svd(false, false).singular_values.min() < NEUTRAL;
-            let step = apart.lu().solve(&off);
+            let apart = apart.svd(true, true);
+            let is_family = apart.singular_values.min() < NEUTRAL;
+            let step = apart.solve(&off, NEUTRAL).ok();
             let step = step.filter(|s| s.iter().all(|v| v.is_finite()));
             let is_small = step.as_ref().is_some_and(|s| widths(s) <= closed);
-            if is_small || is_family && residual <= closed {
+            // One more step is worth more than the tolerance.
+            let is_found = is_small && is_near;
+            is_near = is_small;
+            if is_found || is_family && residual <= closed {
                 let eigenvalues = map.complex_eigenvalues();
                 let mut multipliers: Vec<[f64; 2]> =
                     eigenvalues.iter().map(|e| [e.re, e.im]).collect();

@@ -149,6 +149,8 @@ pub struct Options {
     pub atol: Vec<f64>,
     /// Of the region.
     pub widths: Vec<f64>,
+    /// What a flight begins nearer to than this share of a condition's size is true there.
+    pub begins: f64,
     /// Of a fixed-step method.
     pub step: f64,
     pub max_steps: u32,
@@ -415,12 +417,13 @@ impl Simulator {
             flight.end = Some(End::NoCondition);
             return None;
         }
+        let mut met = None;
         for (event, at_once) in self.at_once.iter().enumerate() {
             let here = self.condition(&all, event);
             // What has just happened is true, and what a flight begins with has not come true.
             let just = flight.after == Some(event);
             let begins = flight.phase == 0;
-            let known = match just || begins && here.ahead <= 0.0 {
+            let known = match just || begins && here.ahead <= options.begins * here.size {
                 true => Some(false),
                 false => flight.known[event],
             };
@@ -438,8 +441,8 @@ impl Simulator {
             }
             let watch = match side {
                 Side::Met if self.counts(&all, event) => {
-                    flight.watched.clear();
-                    return Some(event);
+                    met = met.or(Some(event));
+                    continue;
                 }
                 Side::Met if self.is_unasked(&all, event) => {
                     flight.end = Some(End::NoCondition);
@@ -453,7 +456,10 @@ impl Simulator {
             }
             flight.watched.push(watch);
         }
-        None
+        if met.is_some() {
+            flight.watched.clear();
+        }
+        met
     }
 
     /// Whether a condition is not a number.
@@ -542,7 +548,9 @@ impl Simulator {
             let watch = flight.watched.get(other);
             let armed = match here.ahead.abs() > rounding {
                 true => here.ahead > 0.0,
-                false => watch.is_none_or(|w| w.armed != (w.since > flight.flown)),
+                false => watch.is_none_or(|w| {
+                    w.armed != (w.since > flight.flown - grain.time && w.since > 0.0)
+                }),
             };
             flight.known[other] = Some(armed);
             let is_event = self.maps[other].is_none() && !self.at_once[other];

@@ -106,7 +106,7 @@ pub static CYCLES: Group = Group {
             "residual",
             &["cycle"],
             Unit::One,
-            "|return map - x|, relative to the state",
+            "|return map - x|, in widths of the region",
         ),
         integer("iterations", &["cycle"], "steps of Newton's method"),
         code("status", &["cycle"], "whether there is one"),

@@ -16,6 +16,10 @@ use crate::scene::Scene;
 use crate::sweep::Numerics;
 use rustc_hash::FxHashMap;
 
+/// Nearer to a surface than this, relative to the condition, a flight begins on it: states are given
+/// with so many digits.
+const BEGINS: f64 = 1e-12;
+
 /// What is asked of a simulation in place of what the scene's `[simulation]` says.
 #[derive(Clone, Debug, Default)]
 pub struct SimulationOptions {
@@ -310,6 +314,7 @@ impl Session<'_> {
             rtol: numerics.rtol,
             atol: widths.clone().map(|width| numerics.atol * width).collect(),
             widths: widths.collect(),
+            begins: BEGINS,
             step: model.integrator.step.unwrap_or(0.0),
             max_steps: u32::try_from(model.integrator.max_steps).unwrap_or(u32::MAX),
             deadline: self.choices.deadline,
