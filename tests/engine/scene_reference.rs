@@ -14,7 +14,7 @@ const BODY: &str =
 
 /// Tables that are probed beside the sections: the heading of each, the section that it is in, and
 /// lines there, after `BODY` in a mechanism, in which `BOGUS` is a key of it.
-const WITHIN: [(&str, &str, &str); 6] = [
+const WITHIN: [(&str, &str, &str); 7] = [
     (
         "closed_loop.law",
         "closed_loop.law",
@@ -40,6 +40,11 @@ const WITHIN: [(&str, &str, &str); 6] = [
         "mechanism.forces.body",
         "mechanism",
         " }\n[mechanism.forces]\na = { qqqqqqqqqq = 1 }",
+    ),
+    (
+        "events.collision",
+        "mechanism",
+        " }\n[mechanism.points]\np = { body = \"a\" }\n[events.e]\nwhen = \"a <= 0\"\ncollision = [{ qqqqqqqqqq = 1 }]",
     ),
 ];
 
