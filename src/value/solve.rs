@@ -156,7 +156,7 @@ pub struct Answers {
 impl Answers {
     /// The guard that a target's trajectory leaves, or that the target itself is outside of: the one
     /// with the least margin, as a share of its size along the trajectory. `None` where no guard is
-    /// why it was not solved.
+    /// why it was not solved, and where several hold at all nodes: one of them is left between two.
     pub fn guard_left<'m>(&self, model: &'m Model, target: usize) -> Option<&'m str> {
         let miss = self.misses[target].as_ref()?;
         let n = model.states.len();
@@ -184,8 +184,8 @@ impl Answers {
             if largest > 0.0 { least / largest } else { 0.0 }
         };
         let shares = model.guards.iter().map(|g| (share(g.condition.expr), g));
-        let least = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(least.1.name.as_str())
+        let (least, guard) = shares.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        (least <= 0.0 || model.guards.len() == 1).then_some(guard.name.as_str())
     }
 
     /// The solution that is the answer at a target: that of least V. In a game the one on the sheet

@@ -298,37 +298,42 @@ fn what_saturates_or_vanishes_at_the_equilibrium_counts_elsewhere() {
     }
 }
 
-/// Which of several guards a state is outside of, or its trajectory leaves.
+/// Which of several guards a state is outside of, and the guard that its trajectory leaves.
 #[test]
 fn a_guard_that_is_left_is_named() {
     let folder = folder("guards");
-    let scene = folder.join("bound.toml");
-    std::fs::write(
-        &scene,
-        r#"
-        states = { x = {}, v = {} }
-        controls = { u = { min = -2, max = 2 } }
-        dynamics = { x = "v", v = "u" }
-        cost = { running = "x^2 + 0.1*v^2 + 0.1*u^2" }
-        equilibrium = { x = 0, v = 0, u = 0 }
-        region = { x = [-1, 1], v = [-1, 1] }
-        guards = { near = "x > -2", slow = "v^2 < 0.25" }
-        "#,
-    )
-    .unwrap();
     let points = folder.join("points.csv");
     std::fs::write(&points, "x,v\n1,0\n1,-0.6\n").unwrap();
-    let done = costate(&[
-        "solve".as_ref(),
-        scene.as_ref(),
-        "--backend".as_ref(),
-        "cpu".as_ref(),
-        "--points".as_ref(),
-        points.as_ref(),
-        "--out".as_ref(),
-        folder.join("out.h5").as_ref(),
-    ]);
-    let said = String::from_utf8_lossy(&done.stdout);
-    assert!(said.contains("leaves guard `slow`: x = 1.0"), "{said}");
-    assert!(said.contains("outside guard `slow`: x = 1.0"), "{said}");
+    let said = |guards: &str| {
+        let scene = folder.join("bound.toml");
+        let text = format!(
+            r#"
+            states = {{ x = {{}}, v = {{}} }}
+            controls = {{ u = {{ min = -2, max = 2 }} }}
+            dynamics = {{ x = "v", v = "u" }}
+            cost = {{ running = "x^2 + 0.1*v^2 + 0.1*u^2" }}
+            equilibrium = {{ x = 0, v = 0, u = 0 }}
+            region = {{ x = [-1, 1], v = [-1, 1] }}
+            guards = {{ {guards} }}
+            "#
+        );
+        std::fs::write(&scene, text).unwrap();
+        let done = costate(&[
+            "solve".as_ref(),
+            scene.as_ref(),
+            "--backend".as_ref(),
+            "cpu".as_ref(),
+            "--points".as_ref(),
+            points.as_ref(),
+            "--out".as_ref(),
+            folder.join("out.h5").as_ref(),
+        ]);
+        String::from_utf8_lossy(&done.stdout).into_owned()
+    };
+    let one = said("slow = \"v^2 < 0.25\"");
+    assert!(one.contains("leaves guard `slow`: x = 1.0"), "{one}");
+    assert!(one.contains("outside guard `slow`: x = 1.0"), "{one}");
+    let two = said("near = \"x > -2\", slow = \"v^2 < 0.25\"");
+    assert!(two.contains("outside guard `slow`: x = 1.0"), "{two}");
+    assert!(!two.contains("guard `near`"), "{two}");
 }
