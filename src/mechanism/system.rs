@@ -62,6 +62,11 @@ impl Mechanism {
         all.filter(|q| g.as_symbol(*q).is_some()).collect()
     }
 
+    /// Whether a symbol is a coordinate or a rate.
+    pub fn moves(&self, symbol: Id) -> bool {
+        self.q.contains(&symbol) || self.rates.contains(&symbol)
+    }
+
     /// How the symbols of `free` coordinates and of their rates move.
     pub fn motion_of(&self, g: &Graph, free: &[Id]) -> FxHashMap<Id, Id> {
         let mut moving = FxHashMap::default();

@@ -6,6 +6,7 @@ use super::reader::{Reader, Section};
 use crate::diagnostics::Problem;
 use crate::diagnostics::shorten;
 use crate::expr::{Fun, Graph, Id, Op};
+use crate::mechanism::Mechanism;
 use crate::model::{Control, Guard, Located, Span, Variable};
 use crate::numeric::digits::plain;
 use nalgebra::{DMatrix, DVector};
@@ -47,8 +48,8 @@ pub(super) struct Scene<'s> {
     pub guards: &'s [Guard],
     pub region: Option<&'s [[f64; 2]]>,
     pub finite: bool,
-    /// Coordinates of a mechanism and their rates: other states may hold these, as controls do.
-    pub posture: &'s [Id],
+    /// Its coordinates and rates may be held by other states, as by controls.
+    pub mechanism: Option<&'s Mechanism>,
 }
 
 impl<'a> Reader<'a> {
@@ -274,7 +275,7 @@ impl<'a> Reader<'a> {
         values: &FxHashMap<Id, f64>,
     ) -> Option<String> {
         let motors = (scene.states.iter().zip(&at.x))
-            .filter(|(s, _)| !scene.posture.is_empty() && !scene.posture.contains(&s.symbol));
+            .filter(|(s, _)| scene.mechanism.is_some_and(|m| !m.moves(s.symbol)));
         let controls = (scene.controls.iter().zip(&at.u)).map(|(c, u)| (&c.variable, u.value));
         let unknowns: Vec<(&Variable, f64)> =
             motors.map(|(s, x)| (*s, x.value)).chain(controls).collect();

@@ -138,7 +138,7 @@ impl<'a> Reader<'a> {
             None => None,
         };
         if let (Some(collision), Some(mechanism)) = (&collision, mechanism) {
-            for (body, rate) in mechanism.tree.bodies.iter().zip(&collision.rates) {
+            for (body, rate) in mechanism.tree.bodies.iter().zip(collision) {
                 if let Some(entry) = after.get_mut(format!("{}{RATE}", body.name).as_str()) {
                     *entry = *rate;
                 }
@@ -168,14 +168,12 @@ impl<'a> Reader<'a> {
                     .iter()
                     .find(|s| s.name == state)
                     .and_then(|s| s.symbol);
-                sets |= mechanism
-                    .zip(symbol)
-                    .is_some_and(|(m, symbol)| m.q.contains(&symbol) || m.rates.contains(&symbol));
+                sets |= (mechanism.zip(symbol)).is_some_and(|(m, symbol)| m.moves(symbol));
             }
         }
         let kept = match mechanism {
             Some(mechanism) => {
-                let of = (collision.as_ref(), &renamed);
+                let of = (collision.as_deref(), &renamed);
                 self.kept(mechanism, of, sets)
             }
             None => Vec::new(),

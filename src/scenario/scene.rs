@@ -16,7 +16,6 @@ use crate::diagnostics::Problem;
 use crate::diagnostics::did_you_mean;
 use crate::diagnostics::position;
 use crate::diagnostics::shorten;
-use crate::expr::Id;
 use crate::mechanism::Mechanism;
 use crate::model::{
     Attenuation, ClosedLoop, Control, Dissipation, Feedback, Guard, Homotopy, Horizon, Integrator,
@@ -435,11 +434,8 @@ impl<'a> Reader<'a> {
         else {
             return;
         };
-        let posture: Vec<Id> = (mechanism.iter())
-            .flat_map(|m| m.q.iter().chain(&m.rates).copied())
-            .collect();
         let scene = Scene {
-            posture: &posture,
+            mechanism,
             states: &states,
             controls,
             disturbances,

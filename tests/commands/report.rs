@@ -696,3 +696,33 @@ fn the_scenes_section_is_read_and_refused_with_places() {
         );
     }
 }
+
+/// A mechanism is on the page as it is written, and a page without its figure says why.
+#[test]
+fn a_mechanism_is_shown_as_it_is_written() {
+    let folder = folder("mechanism");
+    let scene = format!("{}/scenarios/compass_gait.toml", crate::ROOT);
+    for (samples, drawn) in [("20", true), ("0", false)] {
+        let file = folder.join(format!("gait_{samples}.h5"));
+        let out = file.to_str().unwrap();
+        let run = costate(&[
+            "simulate",
+            &scene,
+            "--quiet",
+            "--samples",
+            samples,
+            "--out",
+            out,
+        ]);
+        assert!(run.status.success());
+        let (summary, page) = reported(&file, &folder.join("page.html"), &[]);
+        assert!(
+            page.contains("body hip = { joint = &quot;prismatic&quot;"),
+            "{page}"
+        );
+        assert!(page.contains("contact foot ="));
+        assert!(!page.contains("stance' = stance") && !page.contains("stance&#39; = stance"));
+        assert_eq!(pictures(&summary).contains(&"figures"), drawn);
+        assert_eq!(page.contains("no trajectory is stored"), !drawn);
+    }
+}

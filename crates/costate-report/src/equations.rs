@@ -19,16 +19,10 @@ pub fn of(model: &Model) -> Vec<Equations> {
     let states = model.states.iter().map(|s| variable(&s.variable, ""));
     let controls = (model.controls.iter()).map(|c| variable(&c.variable, &bounds(c.min, c.max)));
     // What follows from a mechanism is written nowhere; its description is.
-    let from_mechanism = |s: &str| {
-        let bodies = model.mechanism.iter().flat_map(|m| &m.tree.bodies);
-        let mut names = bodies.map(|b| b.name.as_str());
-        names.any(|b| {
-            s.strip_prefix(b)
-                .is_some_and(|tail| tail.is_empty() || tail == "_rate")
-        })
-    };
+    let from_mechanism =
+        |symbol| (model.mechanism.as_ref()).is_some_and(|mechanism| mechanism.moves(symbol));
     let dynamics = (model.states.iter().zip(&model.dynamics))
-        .filter(|(s, _)| !from_mechanism(&s.variable.name))
+        .filter(|(s, _)| !from_mechanism(s.variable.symbol))
         .map(|(s, d)| format!("{}' = {}", s.variable.name, written(model, &d.span)));
     let running = format!("L = {}", written(model, &model.running.span));
     let mechanism = costate::low_level::scenario::mechanism(&model.text);

@@ -153,7 +153,6 @@ impl Simulator {
                         Some(early) => early.event,
                         None => self.nearest(&all, &flight.watched),
                     };
-                    let watch = flight.watched[event];
                     let lost = self.is_unknown(&all);
                     if lost || flight.short_legs > MOST_SHORT {
                         flight.end = Some(match lost {
@@ -161,12 +160,11 @@ impl Simulator {
                             false => End::NotLocated,
                         });
                         Met::End
-                    } else if watch.armed {
+                    } else if flight.watched[event].armed {
                         Met::Event(event)
                     } else {
                         let here = self.condition(&all, event);
-                        let turned = Watch::on(!watch.armed, here, grain);
-                        flight.watched[event] = turned.from(flight.flown);
+                        flight.watched[event] = Watch::on(true, here, grain).from(flight.flown);
                         Met::Nothing
                     }
                 }

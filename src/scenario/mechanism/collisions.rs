@@ -9,21 +9,15 @@ use crate::scenario::reader::{Reader, Section, Value};
 use rustc_hash::FxHashMap;
 use toml::de::DeValue;
 
-/// A plastic collision.
-pub(in crate::low_level::scenario) struct Collision {
-    /// q' after it, one a body of the tree.
-    pub rates: Vec<Id>,
-}
-
 impl<'a> Reader<'a> {
-    /// The collision of an event in which points come to rest; closed chains stay closed, and points
-    /// that were held otherwise and are not named let go.
+    /// q' after the plastic collision of an event, one a body of the tree: points come to rest, closed
+    /// chains stay closed, and points that were held otherwise and are not named let go.
     pub(in crate::low_level::scenario) fn collision(
         &mut self,
         what: &str,
         value: &'a Value<'a>,
         mechanism: Option<&Mechanism>,
-    ) -> Option<Collision> {
+    ) -> Option<Vec<Id>> {
         let Some(mechanism) = mechanism else {
             if self.no_mechanism {
                 return None;
@@ -35,9 +29,11 @@ impl<'a> Reader<'a> {
             let message = format!("the collision of {what} must be a list of points");
             return self.refuse(value.span(), message, "such as [\"foot\"]");
         };
+        let g = &mut self.graph;
+        let posed = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
         let mut constraints: Vec<Constraint> = Vec::new();
         for entry in entries {
-            constraints.extend(self.stopped(what, entry, mechanism)?);
+            constraints.extend(self.stopped(what, entry, (mechanism, &posed))?);
         }
         if constraints.is_empty() {
             let message = format!("the collision of {what} names no point");
@@ -46,8 +42,6 @@ impl<'a> Reader<'a> {
         let joints = mechanism.constraints.iter();
         constraints.extend(joints.filter(|c| c.against.is_some()).cloned());
 
-        let g = &mut self.graph;
-        let posed = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
         if !self.are_independent(&posed, &constraints) {
             let message = format!(
                 "the collision of {what} stops the same twice, or what cannot move: its impulses are not determined"
@@ -61,7 +55,7 @@ impl<'a> Reader<'a> {
         let articulated = Articulated::new(g, &posed.motion);
         let held = posed.held(g, &articulated, &constraints);
         let (rates, _) = held.collision(g, &mechanism.rates);
-        Some(Collision { rates })
+        Some(rates)
     }
 
     /// What an entry of a collision brings to rest: a point by name, in all directions in which it
@@ -70,7 +64,7 @@ impl<'a> Reader<'a> {
         &mut self,
         what: &str,
         entry: &'a Value<'a>,
-        mechanism: &Mechanism,
+        (mechanism, posed): (&Mechanism, &Posed),
     ) -> Option<Vec<Constraint>> {
         let of = format!("a point of {what}");
         let (name, along) = match entry.get_ref() {
@@ -99,22 +93,20 @@ impl<'a> Reader<'a> {
             }]);
         }
         // Where joints let a point move in one direction alone, it is stopped in that one.
-        let g = &mut self.graph;
-        let posed = Posed::new(g, &mechanism.tree, &mechanism.q, &mechanism.rates);
         let moving: Vec<Constraint> = (all.iter())
-            .filter(|c| self.are_independent(&posed, std::slice::from_ref(*c)))
+            .filter(|c| self.are_independent(posed, std::slice::from_ref(*c)))
             .cloned()
             .collect();
         // None is refused with the others.
         Some(if moving.is_empty() { all } else { moving })
     }
 
-    /// What contacts keep as it is, after an event and before it; `after` are the states then, and
-    /// `sets` whether coordinates or rates among them are set.
+    /// What contacts keep as it is, after an event and before it; `collided` are q' after its collision,
+    /// `after` the states after all of it, and `sets` whether coordinates or rates among them are set.
     pub(in crate::low_level::scenario) fn kept(
         &mut self,
         mechanism: &Mechanism,
-        (collision, after): (Option<&Collision>, &FxHashMap<&str, Id>),
+        (collided, after): (Option<&[Id]>, &FxHashMap<&str, Id>),
         sets: bool,
     ) -> Vec<Kept> {
         let depends = mechanism.free(&self.graph).len() < mechanism.q.len();
@@ -135,7 +127,7 @@ impl<'a> Reader<'a> {
             .map(
                 |(i, name)| match after.get(format!("{name}{RATE}").as_str()) {
                     Some(rate) => *rate,
-                    None => collision.map_or(mechanism.rates[i], |c| c.rates[i]),
+                    None => collided.unwrap_or(&mechanism.rates)[i],
                 },
             )
             .collect();
