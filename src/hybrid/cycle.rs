@@ -12,8 +12,10 @@ use nalgebra::{DMatrix, DVector};
 const STEPS: usize = 40;
 const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
-/// Multipliers nearer to 1 than this are those of a family of orbits.
+/// Multipliers nearer to 1 than this, or than so many tolerances, are those of a family of orbits.
 const NEUTRAL: f64 = 1e-6;
+/// An orbit is longer than so many of what counts as being back.
+const LENGTH: f64 = 10.0;
 /// How near an orbit begins to the surface of its event, relative to the condition.
 const AFTER: f64 = 1e-9;
 /// Longest step, and how far from the guess an orbit may begin, in widths.
@@ -32,6 +34,8 @@ pub struct Cycle {
     /// |return map - start|, in widths of the region.
     pub residual: f64,
     pub iterations: usize,
+    /// How near to 1 a multiplier may be that says nothing.
+    neutral: f64,
 }
 
 impl Cycle {
@@ -44,13 +48,13 @@ impl Cycle {
     /// Whether neighbours come back to it.
     #[must_use]
     pub fn is_stable(&self) -> bool {
-        self.largest() < 1.0 - NEUTRAL
+        self.largest() < 1.0 - self.neutral
     }
 
     /// Whether some of them part from it.
     #[must_use]
     pub fn is_unstable(&self) -> bool {
-        self.largest() > 1.0 + NEUTRAL
+        self.largest() > 1.0 + self.neutral
     }
 }
 
@@ -141,7 +145,19 @@ impl Orbits {
             ..options.clone()
         };
         let closed = CLOSED.max(TOLERANCES * options.rtol);
-        let mut x = DVector::from_column_slice(guess);
+        let neutral = NEUTRAL.max(TOLERANCES * options.rtol);
+        // States after an event lie on its surface; a guess need not.
+        let first = self.simulator.fly(guess, &options)?;
+        let mut x = match first.end[0] {
+            End::Events => DVector::from_vec(first.last),
+            end => {
+                return Ok(Err(CycleError::NoReturn {
+                    start: guess.to_vec(),
+                    end,
+                }));
+            }
+        };
+        let guess = x.clone();
         let (mut residual, mut is_near) = (f64::INFINITY, false);
         for iterations in 1..=STEPS {
             let flown = self.simulator.fly(x.as_slice(), &options)?;
@@ -162,14 +178,21 @@ impl Orbits {
             let apart = DMatrix::identity(n, n) - &map;
             // Of a family of orbits none is singled out: any that is back will do.
             let apart = apart.svd(true, true);
-            let is_family = apart.singular_values.min() < NEUTRAL;
-            let step = apart.solve(&off, NEUTRAL).ok();
+            let is_family = apart.singular_values.min() < neutral;
+            let step = apart.solve(&off, neutral).ok();
             let step = step.filter(|s| s.iter().all(|v| v.is_finite()));
             let is_small = step.as_ref().is_some_and(|s| widths(s) <= closed);
             // One more step is worth more than the tolerance.
             let is_found = is_small && is_near;
             is_near = is_small;
-            if is_found || is_family && residual <= closed {
+            let is_back = residual <= LENGTH * closed && (is_found || is_family);
+            // At rest everything is back.
+            let rates = DVector::from_vec(self.linear.rates.eval(x.as_slice()));
+            let moves = widths(&rates) * flown.t[0] > LENGTH * LENGTH * closed;
+            if is_back && !moves {
+                break;
+            }
+            if is_back {
                 let eigenvalues = map.complex_eigenvalues();
                 let mut multipliers: Vec<[f64; 2]> =
                     eigenvalues.iter().map(|e| [e.re, e.im]).collect();
@@ -181,12 +204,13 @@ impl Orbits {
                     multipliers,
                     residual,
                     iterations,
+                    neutral,
                 }));
             }
             let Some(step) = step else { break };
             let share = (LONGEST / widths(&step)).min(1.0);
             x += share * step;
-            if widths(&(&x - DVector::from_column_slice(guess))) > FURTHEST {
+            if widths(&(&x - &guess)) > FURTHEST {
                 break;
             }
         }

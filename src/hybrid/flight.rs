@@ -208,6 +208,8 @@ struct Flight {
     /// Where the phase began, and when.
     begin: Vec<f64>,
     t: f64,
+    /// Where, and after how long, an event was passed by in this phase: times are located from there.
+    passed: (Vec<f64>, f64),
     /// Where the flight is, and for how long the phase has lasted.
     x: Vec<f64>,
     flown: f64,
@@ -348,6 +350,7 @@ impl Simulator {
                 number: first + i,
                 phase: 0,
                 begin: x.to_vec(),
+                passed: (x.to_vec(), 0.0),
                 t: 0.0,
                 x: x.to_vec(),
                 flown: 0.0,
@@ -411,7 +414,7 @@ impl Simulator {
         if !flight.watched.is_empty() || self.at_once.is_empty() {
             return None;
         }
-        let grain = self.grain(options);
+        let grain = self.grain(options).after(flight.t);
         let all = self.conditions.eval(&flight.x);
         if self.is_unknown(&all) {
             flight.end = Some(End::NoCondition);
@@ -423,12 +426,13 @@ impl Simulator {
             // What has just happened is true, and what a flight begins with has not come true.
             let just = flight.after == Some(event);
             let begins = flight.phase == 0;
-            let known = match just || begins && here.ahead <= options.begins * here.size {
+            let is_true = !at_once && here.ahead <= options.begins * here.size;
+            let known = match just || begins && is_true {
                 true => Some(false),
                 false => flight.known[event],
             };
-            // A guard holds on its surface; where a jump leads back from there it goes on holding.
-            let turns_back = !begins && here.is_on_surface(grain) && here.leaves(grain);
+            // A guard holds on its surface, and goes on holding where the state leads back from there.
+            let turns_back = here.is_on_surface(grain) && here.leaves(grain);
             let side = match *at_once && here.ahead <= 0.0 && !turns_back {
                 true => Side::Met,
                 false => Watch::at(here, known, grain),
@@ -535,7 +539,7 @@ impl Simulator {
         flight.known[event] = Some(false);
         // What is on its surface at the same moment: what is armed comes true, too, if the state goes
         // into it after the jump; what was true stays so.
-        let (grain, mut ends) = (self.grain(options), None);
+        let (grain, mut ends) = (self.grain(options).after(flight.t), None);
         for other in (0..self.at_once.len()).filter(|o| *o != event) {
             let here = self.condition(&all, other);
             if flight.known[other].is_some() || !here.is_on_surface(grain) {
@@ -554,11 +558,13 @@ impl Simulator {
             };
             flight.known[other] = Some(armed);
             let is_event = self.maps[other].is_none() && !self.at_once[other];
-            if armed && is_event && here.slope < 0.0 && self.counts(&all, other) {
+            let now = here.ahead.abs() <= rounding && here.slope < 0.0;
+            if armed && is_event && now && self.counts(&all, other) {
                 ends = ends.or(Some(End::At(other)));
             }
         }
         flight.begin.clone_from(&after);
+        flight.passed = (after.clone(), 0.0);
         flight.x = after;
         flight.flown = 0.0;
         flight.short_legs = 0;

@@ -7,6 +7,9 @@
 
 use crate::model::Precision;
 
+/// Roundings of a time that an event may be off by.
+const TICKS: f64 = 4.0;
+
 /// Sizes that are next to nothing.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Grain {
@@ -14,8 +17,10 @@ pub(super) struct Grain {
     pub time: f64,
     /// The same as a share of a condition's size over the region.
     near: f64,
-    /// Share of that size that is rounding.
+    /// Share of that size that is rounding; and rounding of time.
     rounding: f64,
+    tick: f64,
+    epsilon: f64,
     /// A flight that leaves a surface by less than this share does not leave it.
     height: f64,
 }
@@ -31,7 +36,17 @@ impl Grain {
             time: near * time,
             near,
             rounding,
+            tick: 0.0,
+            epsilon: precision.epsilon(),
             height,
+        }
+    }
+
+    /// After a time, which is known to so many digits alone.
+    pub fn after(self, t: f64) -> Self {
+        Self {
+            tick: TICKS * self.epsilon * t,
+            ..self
         }
     }
 }
@@ -49,7 +64,10 @@ pub(super) struct Here {
 impl Here {
     /// What is on the surface is no further away than this.
     fn touch(&self, grain: Grain) -> f64 {
-        (self.slope.abs() * grain.time).min(grain.near * self.size) + grain.rounding * self.size
+        let slope = self.slope.abs();
+        (slope * grain.time).min(grain.near * self.size)
+            + grain.rounding * self.size
+            + slope * grain.tick
     }
 
     /// Whether a state on the surface goes to where the condition is not true.

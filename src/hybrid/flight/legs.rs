@@ -64,7 +64,7 @@ struct Near {
 impl<'f> Sought<'f> {
     fn new(flight: &'f mut Flight, event: usize, between: Option<[f64; 2]>, grain: Grain) -> Self {
         let watch = flight.watched[event];
-        let since = (watch.since - grain.time).max(0.0);
+        let since = (watch.since - grain.time).max(flight.passed.1);
         // Before a surface that is moved the condition may be true already.
         let unmoved = between.filter(|_| watch.offset == 0.0);
         Self {
@@ -131,6 +131,7 @@ impl Simulator {
             };
             flight.leg = flight.flown;
             flight.flown += duration;
+            let grain = grain.after(flight.t + flight.flown);
             flight.x = match &early {
                 Some(early) => early.x.clone(),
                 None => flown.end[k * dim..][..n].to_vec(),
@@ -184,6 +185,7 @@ impl Simulator {
         self.locate(&mut at_events, options, flights)?;
         legs.extend(at_events.into_iter().map(|sought| {
             let Sought { flight, event, .. } = sought;
+            let grain = grain.after(flight.t + flight.flown);
             let all = self.conditions.eval(&flight.x);
             let met = match flight.end {
                 Some(End::Failed(_)) => Met::End,
@@ -198,6 +200,7 @@ impl Simulator {
                     let here = self.condition(&all, event);
                     flight.end = None;
                     flight.watched[event] = Watch::on(false, here, grain).from(flight.flown);
+                    flight.passed = (flight.x.clone(), flight.flown);
                     Met::Nothing
                 }
             };
@@ -372,11 +375,16 @@ impl Simulator {
         }
     }
 
-    /// The event whose surface, as it is watched, is the nearest in time.
+    /// The event whose surface was crossed first: some surfaces are watched beyond themselves. Where
+    /// none was, the one whose watch is the nearest in time.
     fn nearest(&self, all: &[f64], watched: &[Watch]) -> usize {
         let time = |e: usize| {
-            let here = self.condition(all, e);
-            (watched[e].left(here.ahead) / here.slope).abs()
+            let (here, watch) = (self.condition(all, e), watched[e]);
+            let crossed = watch.sign() * here.ahead <= 0.0 && watch.sign() * here.slope < 0.0;
+            match crossed {
+                true => -(here.ahead / here.slope).abs(),
+                false => (watch.left(here.ahead) / here.slope).abs(),
+            }
         };
         (0..watched.len())
             .min_by(|a, b| time(*a).total_cmp(&time(*b)))
@@ -401,7 +409,8 @@ impl Simulator {
             let seeds: Vec<f64> = (open.iter())
                 .flat_map(|k| {
                     let flight = &at[*k].flight;
-                    flight.begin.iter().copied().chain([flight.flown])
+                    let (from, since) = &flight.passed;
+                    from.iter().copied().chain([flight.flown - since])
                 })
                 .collect();
             let flown = self.plain.integrate(&run, &seeds)?;
