@@ -65,6 +65,8 @@ pub enum CycleError {
     NoReturn { start: Vec<f64>, end: End },
     /// |return map - start| is left, in widths of the region.
     Diverged { residual: f64 },
+    /// What comes back is at rest: an equilibrium, not an orbit.
+    AtRest { state: Vec<f64> },
 }
 
 /// Linearizations: the variation of a flight, and derivatives of conditions and maps.
@@ -158,22 +160,26 @@ impl Orbits {
             }
         };
         let guess = x.clone();
+        let widths = |v: &DVector<f64>| {
+            let shares = v.iter().zip(&options.widths).map(|(v, w)| (v / w).abs());
+            shares.fold(0.0, f64::max)
+        };
         let (mut residual, mut is_near) = (f64::INFINITY, false);
         for iterations in 1..=STEPS {
             let flown = self.simulator.fly(x.as_slice(), &options)?;
+            // At rest everything is back.
+            let rates = DVector::from_vec(self.linear.rates.eval(x.as_slice()));
+            let moves = widths(&rates) * flown.t[0] > LENGTH * LENGTH * closed;
             if flown.end[0] != End::Events {
-                return Ok(Err(CycleError::NoReturn {
-                    start: x.as_slice().to_vec(),
-                    end: flown.end[0],
+                let state = x.as_slice().to_vec();
+                return Ok(Err(match (moves, flown.end[0]) {
+                    (false, End::Time) => CycleError::AtRest { state },
+                    (_, end) => CycleError::NoReturn { start: state, end },
                 }));
             }
             let map = self.linearized(x.as_slice(), &flown.jumps, &options)?;
             let back = DVector::from_column_slice(&flown.last);
             let off = &back - &x;
-            let widths = |v: &DVector<f64>| {
-                let shares = v.iter().zip(&options.widths).map(|(v, w)| (v / w).abs());
-                shares.fold(0.0, f64::max)
-            };
             residual = widths(&off);
             let apart = DMatrix::identity(n, n) - &map;
             // Of a family of orbits none is singled out: any that is back will do.
@@ -186,11 +192,9 @@ impl Orbits {
             let is_found = is_small && is_near;
             is_near = is_small;
             let is_back = residual <= LENGTH * closed && (is_found || is_family);
-            // At rest everything is back.
-            let rates = DVector::from_vec(self.linear.rates.eval(x.as_slice()));
-            let moves = widths(&rates) * flown.t[0] > LENGTH * LENGTH * closed;
             if is_back && !moves {
-                break;
+                let state = back.as_slice().to_vec();
+                return Ok(Err(CycleError::AtRest { state }));
             }
             if is_back {
                 let eigenvalues = map.complex_eigenvalues();

@@ -547,8 +547,7 @@ impl Simulator {
             }
             // Its side tells more than its watch, but for rounding; that may have been turned past this
             // moment.
-            let off = here.slope.abs() * 2.0 * legs::LOCATED * flight.flown;
-            let rounding = legs::ROUNDINGS * self.precision.epsilon() * here.size + off;
+            let rounding = here.rounding(self.precision, flight.flown);
             let watch = flight.watched.get(other);
             let armed = match here.ahead.abs() > rounding {
                 true => here.ahead > 0.0,

@@ -8,7 +8,12 @@ use crate::schema;
 use crate::session::Simulated;
 
 /// Codes of orbits that were looked for, with their meanings.
-const CYCLE_STATUSES: [(i32, &str); 3] = [(0, "found"), (1, "no_return"), (2, "not_converged")];
+const CYCLE_STATUSES: [(i32, &str); 4] = [
+    (0, "found"),
+    (1, "no_return"),
+    (2, "not_converged"),
+    (3, "at_rest"),
+];
 
 /// The code of such an orbit.
 fn code(found: &Result<Cycle, CycleError>) -> i32 {
@@ -16,6 +21,7 @@ fn code(found: &Result<Cycle, CycleError>) -> i32 {
         Ok(_) => 0,
         Err(CycleError::NoReturn { .. }) => 1,
         Err(CycleError::Diverged { .. }) => 2,
+        Err(CycleError::AtRest { .. }) => 3,
     }
 }
 

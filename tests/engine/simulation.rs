@@ -2,6 +2,7 @@
 
 use costate::backend::Backend;
 use costate::backend::cpu::Cpu;
+use costate::low_level::hybrid::CycleError;
 use costate::session::{ControlledBy, Simulated, SimulationOptions};
 use costate::{Scene, Session};
 use serde_json::Value;
@@ -826,6 +827,144 @@ fn floors_that_are_high_or_near() {
         for rtol in [1e-3, 1e-6] {
             let done = at_tolerance(&floor(0.0, "-0.9*v"), rtol, &[height, -1.0, 0.0], 0.3);
             assert_eq!(done.flights.jumps.len(), 2, "{height}, rtol {rtol}");
+        }
+    }
+}
+
+/// A second condition just beyond a floor, or a guard, is not met while the ball bounces above it.
+#[test]
+fn a_surface_just_below_a_floor() {
+    let floor = "[events.floor]\nwhen = \"x <= 0\"\nset = { v = \"-0.5*v\" }";
+    for below in [1e-12, 3e-12, 1e-11, 3e-11, 1e-10, 1e-9, 1e-7] {
+        let counted =
+            format!("[events.below]\nwhen = \"x <= -{below:e}\"\nset = {{ n = \"n + 1\" }}");
+        let ends = format!("[events.below]\nwhen = \"x <= -{below:e}\"\nends = true");
+        let guard = format!("[guards]\nbelow = \"x >= -{below:e}\"");
+        for other in [counted, ends, guard] {
+            for first in [true, false] {
+                let events = match first {
+                    true => format!("{floor}\n{other}"),
+                    false => format!("{other}\n{floor}"),
+                };
+                for height in [1.0, 0.37] {
+                    let ball = oscillator(["v", "-9.81"], &events);
+                    let done = simulated(&ball, &[height, 0.0, 0.0], 3.0);
+                    assert_eq!(done.status(0), "zeno", "{events}");
+                    assert_eq!(done.flights.last[2], 0.0, "{events}");
+                }
+            }
+        }
+    }
+}
+
+/// An equilibrium comes back as well, but is no orbit.
+#[test]
+fn an_equilibrium_is_no_orbit() {
+    let section = "[events.section]\nwhen = \"v >= 0\"\nset = { n = \"n\" }";
+    let scene = oscillator(["v", "0.1*(1 - x^2)*v - x"], section);
+    let options = SimulationOptions {
+        time: Some(60.0),
+        ..SimulationOptions::default()
+    };
+    let found = |x: f64| {
+        let mut all = Session::new(&scene)
+            .cycles(Some(&[x, 0.0, 0.5]), 1, &options)
+            .unwrap();
+        all.remove(0)
+    };
+    for x in [-2.9, -1.5, 1.8, 2.5] {
+        let cycle = found(x).unwrap();
+        // A. Deprit and A. Schmidt's series: 2 pi (1 + mu^2/16 - 5 mu^4/3072 ...).
+        let period = 2.0 * std::f64::consts::PI * (1.0 + 0.01 / 16.0 - 5e-4 / 3072.0);
+        assert!((cycle.period - period).abs() < 1e-7, "{}", cycle.period);
+        assert!(cycle.residual < 1e-10);
+    }
+    for x in [0.3, -0.1, 1e-3] {
+        match found(x) {
+            Err(CycleError::AtRest { state }) => assert!(state[0].abs() < 1e-6, "{state:?}"),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// What an impact adds to the speed is a little more, or less, than what is lost until the next.
+#[test]
+fn an_orbit_comes_back() {
+    for gain in [1.0 - 1e-6, 1.0, 1.0 + 1e-6] {
+        let section =
+            format!("[events.section]\nwhen = \"x >= 0\"\nset = {{ v = \"{gain:?}*v\" }}");
+        let scene = oscillator(["v", "-x"], &section);
+        let options = SimulationOptions {
+            time: Some(30.0),
+            ..SimulationOptions::default()
+        };
+        let found = Session::new(&scene)
+            .cycles(Some(&[0.0, 1.0, 0.0]), 1, &options)
+            .unwrap();
+        match &found[0] {
+            // Each of a family.
+            Ok(cycle) => {
+                assert_eq!(gain, 1.0);
+                assert!(cycle.residual < 1e-11);
+                assert!(!cycle.is_stable() && !cycle.is_unstable());
+            }
+            Err(error) => assert_ne!(gain, 1.0, "{error:?}"),
+        }
+    }
+}
+
+/// Events that are passed by do not begin the phase again, and none is met twice.
+#[test]
+fn many_are_passed_by() {
+    let late = "[events.a]\nwhen = \"x >= 0\"\nwhere = \"n >= 500\"\nset = { v = \"v\" }";
+    let text = |precision: &str, rtol: f64| {
+        scene(&format!(
+            r#"
+            states = {{ x = {{}}, v = {{}}, n = {{}} }}
+            controls = {{ u = {{}} }}
+            dynamics = {{ x = "v", v = "-x", n = "1" }}
+            cost = {{ running = "0.5*u^2", terminal = "x^2", final_time = 1 }}
+            region = {{ x = [-2, 2], v = [-2, 2], n = [0, 600] }}
+            integrator = {{ rtol = {rtol:?}, precision = "{precision}" }}
+            {late}
+            "#
+        ))
+    };
+    for (precision, rtol, near) in [("f64", 1e-9, 1e-6), ("f32", 1e-5, 2e-2)] {
+        let scene = text(precision, rtol);
+        let options = SimulationOptions {
+            time: Some(520.0),
+            ..SimulationOptions::default()
+        };
+        let done = Session::new(&scene)
+            .simulate(Some(&[-1.0, 0.0, 0.0]), &options)
+            .unwrap();
+        let pi = std::f64::consts::PI;
+        let times: Vec<f64> = done.flights.jumps.iter().map(|j| j.t).collect();
+        // x = -cos t rises through 0 at pi/2 + 2 k pi.
+        let exact: Vec<f64> = (0..100)
+            .map(|k| 0.5 * pi + 2.0 * pi * f64::from(k))
+            .filter(|t| *t >= 500.0 && *t <= 520.0)
+            .collect();
+        assert_eq!(times.len(), exact.len(), "{times:?}");
+        for (t, exact) in times.iter().zip(exact) {
+            assert!((t - exact).abs() < near, "{t} {exact}");
+        }
+    }
+}
+
+/// A guard holds on its surface: where a flight begins there and leads in it goes on.
+#[test]
+fn a_flight_begins_on_a_guard() {
+    let ball = oscillator(["v", "-9.81"], "[guards]\nabove = \"x >= 0\"");
+    for at in [0.0, 1e-13] {
+        let up = simulated(&ball, &[at, 1.0, 0.0], 2.0);
+        assert_eq!(up.status(0), "guard_above");
+        assert!((up.flights.t[0] - 2.0 / 9.81).abs() < 1e-10);
+        for speed in [0.0, -1.0] {
+            let down = simulated(&ball, &[at, speed, 0.0], 2.0);
+            assert_eq!(down.status(0), "guard_above");
+            assert!(down.flights.t[0] < 1e-6, "{}", down.flights.t[0]);
         }
     }
 }

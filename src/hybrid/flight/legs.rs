@@ -5,15 +5,16 @@ use super::{End, Flight, Flights, MOST_SHORT, Options, SHORT, Simulator};
 use crate::backend::{BackendError, Run, Status, Trajectories, batch_limit};
 use crate::hybrid::between::{Point, crossing, points, suspect};
 use crate::hybrid::watch::{Grain, Here, Watch};
+use crate::model::Precision;
 use std::collections::BTreeMap;
 
 /// Newton's corrections of an event's time; it is located when one is this small, relative to the
 /// phase.
 const CORRECTIONS: usize = 20;
-pub(super) const LOCATED: f64 = 1e-13;
+const LOCATED: f64 = 1e-13;
 /// Where rounding, or the tolerance of a step, keeps corrections from falling that far, the last must
 /// be below so many of these.
-pub(super) const ROUNDINGS: f64 = 64.0;
+const ROUNDINGS: f64 = 64.0;
 const TOLERANCES: f64 = 10.0;
 /// So many corrections in a row that come no nearer show rounding.
 const STALE: usize = 3;
@@ -31,6 +32,13 @@ pub(super) enum Met {
 
 /// A leg, an event, the points between which it may be met, and when.
 type Suspect = (usize, usize, Point, Point, f64);
+
+impl Here {
+    /// What is no nearer to the surface of an event than this, after a phase so long, may be on it.
+    pub(super) fn rounding(&self, precision: Precision, flown: f64) -> f64 {
+        ROUNDINGS * precision.epsilon() * self.size + self.slope.abs() * 2.0 * LOCATED * flown
+    }
+}
 
 /// Something that happened between the ends of steps.
 struct Early {
@@ -183,6 +191,25 @@ impl Simulator {
             }
         }
         self.locate(&mut at_events, options, flights)?;
+        // Another surface, which is watched beyond itself, may have been crossed before.
+        for _ in 1..self.at_once.len() {
+            let mut before: Vec<Sought> = Vec::new();
+            at_events = (at_events.into_iter())
+                .filter_map(|sought| match self.crossed_before(&sought) {
+                    Some((event, flown)) => {
+                        sought.flight.flown = flown;
+                        before.push(Sought::new(sought.flight, event, None, grain));
+                        None
+                    }
+                    None => Some(sought),
+                })
+                .collect();
+            if before.is_empty() {
+                break;
+            }
+            self.locate(&mut before, options, flights)?;
+            at_events.append(&mut before);
+        }
         legs.extend(at_events.into_iter().map(|sought| {
             let Sought { flight, event, .. } = sought;
             let grain = grain.after(flight.t + flight.flown);
@@ -207,6 +234,25 @@ impl Simulator {
             (flight, met)
         }));
         Ok(legs)
+    }
+
+    /// An event that was met before the one which was located, and when, about.
+    fn crossed_before(&self, located: &Sought<'_>) -> Option<(usize, f64)> {
+        let flight = &located.flight;
+        if flight.end.is_some() {
+            return None;
+        }
+        let all = self.conditions.eval(&flight.x);
+        let crossed = (flight.watched.iter().enumerate()).filter_map(|(event, watch)| {
+            let here = self.condition(&all, event);
+            let is_moved = event != located.event && watch.armed && watch.offset > 0.0;
+            let rounding = here.rounding(self.precision, flight.flown);
+            let at = flight.flown - here.ahead / here.slope;
+            let since = watch.since.max(flight.passed.1);
+            let is_before = here.ahead < -rounding && here.slope < 0.0 && at > since;
+            (is_moved && is_before && self.counts(&all, event)).then_some((event, at))
+        });
+        crossed.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// An event that has come true by the end, within what its surface was moved by.

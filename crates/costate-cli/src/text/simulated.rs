@@ -68,9 +68,10 @@ impl Shown<'_> {
     fn flight(&self, flight: usize) -> String {
         let flights = &self.simulated.flights;
         let n = self.model.states.len();
-        let numbers = |x: &[f64]| -> Vec<String> { x.iter().map(|v| number(*v)).collect() };
-        let row =
-            |t: f64, what: &str, x: &[f64]| [vec![what.to_owned(), number(t)], numbers(x)].concat();
+        let numbers = |x: &[f64]| -> Vec<String> { x.iter().map(|v| number(*v, 9)).collect() };
+        let row = |t: f64, what: &str, x: &[f64]| {
+            [vec![what.to_owned(), number(t, 9)], numbers(x)].concat()
+        };
         let head = ["".to_owned(), self.model.time_name().to_owned()];
         let mut rows = vec![
             head.into_iter()
@@ -129,17 +130,22 @@ impl Shown<'_> {
     }
 
     fn why(&self, error: &CycleError) -> String {
+        let state = |x: &[f64]| {
+            let x: Vec<String> = (self.names().zip(x))
+                .map(|(name, x)| format!("{name} = {}", number(*x, 6)))
+                .collect();
+            x.join(", ")
+        };
         match error {
             CycleError::NoReturn { start, end } => {
-                let x: Vec<String> = (self.names().zip(start))
-                    .map(|(name, x)| format!("{name} = {x:.6}"))
-                    .collect();
                 let end = end_name(&self.simulated.names, *end).replace('_', " ");
-                format!(
-                    "a flight from {} does not come back, but ends: {end}",
-                    x.join(", ")
-                )
+                let start = state(start);
+                format!("a flight from {start} does not come back, but ends: {end}")
             }
+            CycleError::AtRest { state: x } => format!(
+                "what comes back is at rest, at {}; begin further from there",
+                state(x)
+            ),
             CycleError::Diverged { residual } => format!(
                 "Newton's method on the return map does not converge (it comes back to within {residual:.1e} of the state)"
             ),
@@ -199,10 +205,11 @@ impl Shown<'_> {
     }
 }
 
-fn number(x: f64) -> String {
-    let text = format!("{x:.9}");
-    match text.as_str() {
-        "-0.000000000" => text[1..].to_owned(),
+/// Without the sign of a zero.
+fn number(x: f64, digits: usize) -> String {
+    let text = format!("{x:.digits$}");
+    match text.strip_prefix('-') {
+        Some(size) if size.bytes().all(|b| matches!(b, b'0' | b'.')) => size.to_owned(),
         _ => text,
     }
 }
