@@ -7,7 +7,8 @@ use crate::scene::Scene;
 use crate::schema;
 use crate::session::summary::RunSummary;
 use crate::trajectories::{SolvedGrid, SolvedStates, StatedErrors, SweptTrajectories};
-use rust_hdf5::{H5Dataset, H5File, Hdf5Error};
+use rust_hdf5::{DatatypeMessage, H5Dataset, H5File, Hdf5Error};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Why a file could not be used as a result file.
@@ -504,12 +505,34 @@ impl StoredGroup<'_> {
         Ok(codes)
     }
 
+    /// What the codes of a variable mean, in words; none where it has no codes.
+    pub fn meanings(&self, name: &str) -> BTreeMap<i32, String> {
+        let values = || -> Option<Vec<i32>> {
+            let attribute = self.dataset(name).ok()?.attr("flag_values").ok()?;
+            attribute.read_numeric_as::<i32>().ok()
+        };
+        let meanings = self.attribute(Some(name), "flag_meanings");
+        let meanings = meanings.unwrap_or_default();
+        let words = meanings.split_whitespace().map(|w| w.replace('_', " "));
+        values()
+            .unwrap_or_default()
+            .into_iter()
+            .zip(words)
+            .collect()
+    }
+
     /// Texts.
     ///
     /// # Errors
     /// [`StoredError::Object`] where there is no such dataset of texts.
     pub fn texts(&self, name: &str) -> Result<Vec<String>, StoredError> {
-        (self.dataset(name)?.read_vlen_strings()).map_err(|e| self.hdf5(name, &e))
+        let dataset = self.dataset(name)?;
+        // The reader takes zeros for references to no text.
+        let is_text = matches!(dataset.datatype(), Ok(DatatypeMessage::VarLenString { .. }));
+        if !is_text {
+            return Err(self.error(name, "it has no texts"));
+        }
+        dataset.read_vlen_strings().map_err(|e| self.hdf5(name, &e))
     }
 
     /// A text attribute of a dataset, or of the group itself.

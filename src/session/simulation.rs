@@ -250,7 +250,11 @@ impl Session<'_> {
         }
     }
 
-    fn starts(&self, from: Option<&[f64]>) -> Result<Vec<f64>, SessionError> {
+    /// States from which flights begin: those given, or else the scene's, or the reference.
+    ///
+    /// # Errors
+    /// States that do not fit the scene.
+    pub fn starts(&self, from: Option<&[f64]>) -> Result<Vec<f64>, SessionError> {
         let model = &self.scene.model;
         let n = model.states.len();
         match (from, &model.simulation) {

@@ -71,6 +71,14 @@ fn flights_are_printed_and_written() {
     in_schema(&path);
     let stored = Stored::open(&path).unwrap();
     assert_eq!(stored.scene.model.title, "Ball");
+    let page = reported(&folder, "ball");
+    for words in [
+        "Simulated flights",
+        "Events of the flights",
+        "<td>event floor</td>",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
 
     // From the scene's states, and from others: up to the ceiling, and down past the guard.
     let arguments = [
@@ -97,12 +105,21 @@ fn flights_are_printed_and_written() {
     let value = costate(&folder, &["value", "out/ball_simulation.h5", "--at", "h=1"]);
     assert!([Some(1), Some(2)].contains(&value.status.code()));
     assert!(!String::from_utf8_lossy(&value.stderr).contains("panicked"));
-    let report = costate(&folder, &["report", "out/ball_simulation.h5"]);
-    assert!(
-        report.status.success(),
-        "{}",
-        String::from_utf8_lossy(&report.stderr)
-    );
+    let page = reported(&folder, "ball");
+    for words in ["<td>event ceiling</td>", "<td>guard fast</td>"] {
+        assert!(page.contains(words), "{words}");
+    }
+    // These flights have no events.
+    assert!(!page.contains("Events of the flights"));
+}
+
+/// The page of a simulation.
+fn reported(folder: &Path, scene: &str) -> String {
+    let report = costate(folder, &["report", &format!("out/{scene}_simulation.h5")]);
+    let errors = String::from_utf8_lossy(&report.stderr);
+    assert!(report.status.success(), "{errors}");
+    let page = folder.join(format!("out/{scene}_simulation_report.html"));
+    std::fs::read_to_string(page).unwrap()
 }
 
 #[test]
@@ -138,6 +155,29 @@ fn an_orbit_is_found_and_written() {
             .contains("does not come back")
     );
     assert_eq!(none["flights"][0]["x0"]["stance_rate"], 5.0);
+    // Flights keep the numbers of their states.
+    let guess = [
+        "--at",
+        "stance_rate=5",
+        "--at",
+        "stance=-1.3,swing=-1.84,stance_rate=-1.09,swing_rate=-0.38",
+    ];
+    let both = json(&costate(
+        &folder,
+        &[&["simulate", &scene, "--json", "--events", "2"], &guess[..]].concat(),
+    ));
+    assert_eq!(both["flights"][0]["x0"]["stance_rate"], 5.0);
+    assert!(both["cycles"][0]["none"].is_string());
+    assert_eq!(both["flights"][1]["x0"], both["cycles"][1]["x"]);
+    let page = reported(&folder, "compass_gait");
+    for words in [
+        "Orbits",
+        "<td>no return</td>",
+        "<td>found</td>",
+        "multiplier re 1",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
 }
 
 #[test]

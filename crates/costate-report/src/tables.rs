@@ -17,7 +17,7 @@ pub struct Table {
 }
 
 /// Groups that are shown as tables: name, title, caption.
-static GROUPS: [(&schema::Group, &str, &str); 5] = [
+static GROUPS: [(&schema::Group, &str, &str); 8] = [
     (
         &schema::FEEDBACK,
         "Fitted laws",
@@ -40,7 +40,27 @@ static GROUPS: [(&schema::Group, &str, &str); 5] = [
          violations are relative to W + V0.",
     ),
     (&schema::STUDY, "Study", "One row a variant."),
+    (
+        &schema::SIMULATION,
+        "Simulated flights",
+        "x0 is the state at the beginning, x end the last one.",
+    ),
+    (
+        &schema::SIMULATION_EVENTS,
+        "Events of the flights",
+        "The state before and after each jump.",
+    ),
+    (
+        &schema::CYCLES,
+        "Orbits",
+        "x is the state after the event that an orbit begins with. Multipliers are those of the return map: neighbours come back to \
+         the orbit where all are smaller than 1.",
+    ),
 ];
+/// Dimensions along which rows go, where they have names or numbers.
+const ALONG: [&str; 6] = ["law", "variant", "row", "jump", "cycle", "flight"];
+/// Rows that are shown.
+const SHOWN: usize = 40;
 /// Longest text shown in a table cell.
 const LONGEST: usize = 60;
 
@@ -52,6 +72,7 @@ pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
             continue;
         };
         match of_group(&group, title, caption) {
+            Some(table) if table.rows.is_empty() => {}
             Some(table) => tables.push(table),
             None => missing.push((
                 title.to_owned(),
@@ -66,8 +87,8 @@ pub fn all(source: &Source<'_>) -> (Vec<Table>, Vec<(String, String)>) {
 fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table> {
     let all = group.names();
     // The dimension along which most variables extend: the first one with names.
-    let (index, labels) = (["law", "variant", "row"].iter())
-        .find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
+    let (index, labels) =
+        (ALONG.iter()).find_map(|d| Some((*d, texts(group, d).or_else(|| numbered(group, d))?)))?;
     let mut table = Table {
         title: title.to_owned(),
         columns: vec![index.to_owned()],
@@ -83,16 +104,25 @@ fn of_group(group: &StoredGroup<'_>, title: &str, caption: &str) -> Option<Table
             if !is_coordinate(name) && *texts != labels {
                 table.add_texts(name, texts);
             }
-        } else if let Some(statuses) = statuses(group, name) {
-            table.add_texts(name, &statuses);
+        } else if let Some(words) = coded(group, name) {
+            table.add_texts(name, &words);
         } else if let Some(array) = numbers(group, name) {
             let unit = group
                 .attribute(Some(name), "units")
                 .filter(|u| !u.starts_with("see "));
+            let shape = array.shape;
+            let values = match is_counted_from_one(name) {
+                true => array.values.iter().map(|k| k + 1.0).collect(),
+                false => array.values,
+            };
+            let array = Array { shape, values };
             table.add_numbers(name, &names::unit(unit.as_deref()), &array, &others);
         }
     }
-    (table.columns.len() > 1 && !table.rows.is_empty()).then_some(table)
+    if is_counted_from_one(index) {
+        table.shorten();
+    }
+    (table.columns.len() > 1 || table.rows.is_empty()).then_some(table)
 }
 
 impl Table {
@@ -104,6 +134,17 @@ impl Table {
             for (row, text) in self.rows.iter_mut().zip(texts) {
                 row.push(text.clone());
             }
+        }
+    }
+
+    /// Leaves out rows that nobody reads.
+    fn shorten(&mut self) {
+        let all = self.rows.len();
+        if all > SHOWN {
+            self.rows.truncate(SHOWN);
+            let more =
+                format!(" The first {SHOWN} rows of {all}; the others are in the result file.");
+            self.caption.push_str(&more);
         }
     }
 
@@ -137,12 +178,15 @@ impl Table {
 }
 
 /// The names along a variable's second dimension; none where nothing has as many.
-fn components<'t>(name: &str, width: usize, texts: &'t [(String, Vec<String>)]) -> &'t [String] {
+fn components(name: &str, width: usize, texts: &[(String, Vec<String>)]) -> Vec<String> {
+    if name.starts_with("multiplier") {
+        return (1..=width).map(|k| k.to_string()).collect();
+    }
     let own = if name == "u" { "control" } else { "state" };
     let fits =
         |(n, t): &&(String, Vec<String>)| is_coordinate(n) && !n.contains('_') && t.len() == width;
     let first = texts.iter().filter(fits).min_by_key(|(n, _)| n != own);
-    first.map_or(&[], |(_, parts)| parts)
+    first.map_or_else(Vec::new, |(_, parts)| parts.clone())
 }
 
 /// Names along a dimension, or what is said of them.
@@ -162,17 +206,20 @@ fn numbers(group: &StoredGroup<'_>, name: &str) -> Option<Array> {
     group.f64(name).ok().or_else(integers)
 }
 
-/// What became of the variants of a study, in words.
-fn statuses(group: &StoredGroup<'_>, name: &str) -> Option<Vec<String>> {
-    if name != "status" || !group.has("variant") {
+/// Codes in words.
+fn coded(group: &StoredGroup<'_>, name: &str) -> Option<Vec<String>> {
+    let meanings = group.meanings(name);
+    if meanings.is_empty() {
         return None;
     }
     let (_, codes) = group.i32(name).ok()?;
-    let word = |code: &i32| {
-        let known = PointStatus::ALL.iter().find(|(s, _)| *s as i32 == *code);
-        known.map_or_else(|| code.to_string(), |(_, word)| word.replace('_', " "))
-    };
+    let word = |code: &i32| meanings.get(code).cloned().unwrap_or(code.to_string());
     Some(codes.iter().map(word).collect())
+}
+
+/// What readers know by its number rather than its index.
+fn is_counted_from_one(name: &str) -> bool {
+    ["jump", "cycle", "flight"].contains(&name)
 }
 
 /// Texts; numbers are none.
@@ -185,9 +232,14 @@ fn numbered(group: &StoredGroup<'_>, dimension: &str) -> Option<Vec<String>> {
         return None;
     }
     if let Ok(values) = group.f64(dimension) {
-        return Some(values.values.iter().map(|v| significant(*v, 6)).collect());
+        let first = f64::from(u8::from(is_counted_from_one(dimension)));
+        return Some(
+            (values.values.iter())
+                .map(|v| significant(*v + first, 6))
+                .collect(),
+        );
     }
-    // 64-bit integers are not read as f64: rows are counted.
+    // Rows without numbers are counted.
     let count = (group.names().iter()).find_map(|n| group.f64(n).ok()?.shape.first().copied())?;
     Some((0..count).map(|k| k.to_string()).collect())
 }

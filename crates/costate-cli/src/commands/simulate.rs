@@ -27,21 +27,18 @@ pub fn simulate(args: &SimulateArgs) -> Result<(), CliError> {
 
     let mut file = begun.create(args.out.as_deref(), "_simulation")?;
 
-    // An orbit is where flights begin, if one is wanted.
-    let cycles = match cycle {
-        Some(events) => Some((
-            events,
-            session
-                .cycles(given.as_deref(), events, &options)
-                .map_err(|e| ending.nothing_of(e))?,
-        )),
-        None => None,
-    };
-    let found: Option<Vec<f64>> = cycles.as_ref().map(|(_, cycles)| {
-        let known = cycles.iter().filter_map(|c| c.as_ref().ok());
-        known.flat_map(|c| c.start.clone()).collect()
-    });
-    let from = found.filter(|x| !x.is_empty()).or(given);
+    // An orbit is where a flight begins, if one is wanted and found.
+    let (mut cycles, mut from) = (None, given.clone());
+    if let Some(events) = cycle {
+        let near = session.starts(given.as_deref())?;
+        let found = session
+            .cycles(Some(&near), events, &options)
+            .map_err(|e| ending.nothing_of(e))?;
+        let begins = (near.chunks(model.states.len()).zip(&found))
+            .flat_map(|(near, found)| found.as_ref().map_or(near, |cycle| &cycle.start));
+        from = Some(begins.copied().collect());
+        cycles = Some((events, found));
+    }
     let simulated = session
         .simulate(from.as_deref(), &options)
         .map_err(|e| ending.nothing_of(e))?;
