@@ -6,14 +6,16 @@ use crate::backend::{Backend, BackendError, By, Kernel, Spec};
 use crate::expr::{Graph, Id, Kind};
 use crate::model::{Event, Method, Precision};
 use crate::program::Program;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector, Schur};
 
 /// Newton's steps, and how small the last one must be, in widths of the region; or in tolerances.
 const STEPS: usize = 40;
 const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
 /// Multipliers nearer to 1 than this, or than so many tolerances, are those of a family of orbits.
-const NEUTRAL: f64 = 1e-6;
+const NEUTRAL: f64 = 1e-7;
+/// Sweeps over a matrix until its singular values or eigenvalues are there.
+const SWEEPS: usize = 10_000;
 /// An orbit is longer than so many of what counts as being back.
 const LENGTH: f64 = 10.0;
 /// How near an orbit begins to the surface of its event, relative to the condition.
@@ -181,23 +183,39 @@ impl Orbits {
             let back = DVector::from_column_slice(&flown.last);
             let off = &back - &x;
             residual = widths(&off);
+            if !map.iter().chain(off.iter()).all(|v| v.is_finite()) {
+                break;
+            }
             let apart = DMatrix::identity(n, n) - &map;
-            // Of a family of orbits none is singled out: any that is back will do.
-            let apart = apart.svd(true, true);
-            let is_family = apart.singular_values.min() < neutral;
-            let step = apart.solve(&off, neutral).ok();
+            let schur = Schur::try_new(map.clone(), f64::EPSILON, SWEEPS);
+            let apart = apart.try_svd(true, true, f64::EPSILON, SWEEPS);
+            let (Some(schur), Some(mut apart)) = (schur, apart) else {
+                break;
+            };
+            // Of a family of orbits none is singled out: any that is back will do. As many directions
+            // are left alone as there are multipliers of 1.
+            let eigenvalues = schur.complex_eigenvalues();
+            let near_one = |e: &&Complex<f64>| (e.re - 1.0).hypot(e.im) < neutral;
+            let alone = eigenvalues.iter().filter(near_one).count();
+            let is_family = alone > 0;
+            let mut sizes: Vec<f64> = apart.singular_values.iter().copied().collect();
+            sizes.sort_by(f64::total_cmp);
+            let least = alone.checked_sub(1).map_or(0.0, |last| sizes[last]);
+            (apart.singular_values.iter_mut())
+                .filter(|size| **size <= least)
+                .for_each(|size| *size = 0.0);
+            let step = apart.solve(&off, 0.0).ok();
             let step = step.filter(|s| s.iter().all(|v| v.is_finite()));
             let is_small = step.as_ref().is_some_and(|s| widths(s) <= closed);
             // One more step is worth more than the tolerance.
             let is_found = is_small && is_near;
             is_near = is_small;
-            let is_back = residual <= LENGTH * closed && (is_found || is_family);
+            let is_back = residual <= LENGTH * closed && (is_found || is_family && is_small);
             if is_back && !moves {
                 let state = back.as_slice().to_vec();
                 return Ok(Err(CycleError::AtRest { state }));
             }
             if is_back {
-                let eigenvalues = map.complex_eigenvalues();
                 let mut multipliers: Vec<[f64; 2]> =
                     eigenvalues.iter().map(|e| [e.re, e.im]).collect();
                 let size = |e: &[f64; 2]| e[0].hypot(e[1]);

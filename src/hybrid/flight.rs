@@ -432,7 +432,8 @@ impl Simulator {
                 false => flight.known[event],
             };
             // A guard holds on its surface, and goes on holding where the state leads back from there.
-            let turns_back = here.is_on_surface(grain) && here.leaves(grain);
+            let on_it = here.ahead.abs() <= here.rounding(self.precision, 0.0);
+            let turns_back = on_it && here.leaves(grain);
             let side = match *at_once && here.ahead <= 0.0 && !turns_back {
                 true => Side::Met,
                 false => Watch::at(here, known, grain),
@@ -539,27 +540,37 @@ impl Simulator {
         flight.known[event] = Some(false);
         // What is on its surface at the same moment: what is armed comes true, too, if the state goes
         // into it after the jump; what was true stays so.
-        let (grain, mut ends) = (self.grain(options).after(flight.t), None);
+        let grain = self.grain(options).after(flight.t);
+        let (mut ends, mut due) = (None, false);
+        let there = self.conditions.eval(&after);
         for other in (0..self.at_once.len()).filter(|o| *o != event) {
             let here = self.condition(&all, other);
-            if flight.known[other].is_some() || !here.is_on_surface(grain) {
+            if !here.is_on_surface(grain) {
                 continue;
             }
             // Its side tells more than its watch, but for rounding; that may have been turned past this
             // moment.
             let rounding = here.rounding(self.precision, flight.flown);
             let watch = flight.watched.get(other);
-            let armed = match here.ahead.abs() > rounding {
+            let armed = flight.known[other].unwrap_or_else(|| match here.ahead.abs() > rounding {
                 true => here.ahead > 0.0,
                 false => watch.is_none_or(|w| {
                     w.armed != (w.since > flight.flown - grain.time && w.since > 0.0)
                 }),
-            };
+            });
             flight.known[other] = Some(armed);
-            let is_event = self.maps[other].is_none() && !self.at_once[other];
             let now = here.ahead.abs() <= rounding && here.slope < 0.0;
-            if armed && is_event && now && self.counts(&all, other) {
-                ends = ends.or(Some(End::At(other)));
+            if !(armed && now && self.counts(&all, other)) || self.at_once[other] {
+                continue;
+            }
+            // One that ends the flight does so when those before it in the scene have happened, unless
+            // the state has left its surface by then.
+            let then = self.condition(&there, other);
+            let waits = due && then.is_on_surface(grain) && !then.leaves(grain);
+            match self.maps[other].is_none() {
+                true if !waits => ends = ends.or(Some(End::At(other))),
+                true => {}
+                false => due = true,
             }
         }
         flight.begin.clone_from(&after);

@@ -11,7 +11,8 @@ const KNOWN: i32 = 0;
 /// Coverage where nothing is known.
 const NO_COVERAGE: (i32, &str) = (-1, "unknown");
 
-fn code(at: &At) -> i32 {
+/// What is known at a state, as files write it: a code of [`interpolated_statuses`].
+pub fn interpolated_status(at: &At) -> i32 {
     match at.lowest {
         Ok(_) => KNOWN,
         Err(Unknown::Far) => 1,
@@ -24,7 +25,9 @@ fn code(at: &At) -> i32 {
     }
 }
 
-fn flags() -> [(i32, &'static str); 8] {
+/// The codes and their meanings.
+#[must_use]
+pub fn interpolated_statuses() -> [(i32, &'static str); 8] {
     [
         (KNOWN, "interpolated"),
         (1, "far from data"),
@@ -101,8 +104,8 @@ impl ResultFile {
             .put("u_error", scalar(&|v| v.u_error))
             .put_codes(
                 "status",
-                flags(),
-                values.iter().map(code).collect::<Vec<i32>>(),
+                interpolated_statuses(),
+                values.iter().map(interpolated_status).collect::<Vec<i32>>(),
             )
             .put_codes(
                 "coverage",

@@ -23,7 +23,7 @@ pub use attenuation::ATTENUATION_GROUPS;
 pub use closed_loop::CLOSED_LOOP_GROUPS;
 pub use dissipation::DISSIPATION_GROUPS;
 pub use feedback::FEEDBACK_GROUP;
-pub use interpolated::{Places, Times};
+pub use interpolated::{Places, Times, interpolated_status, interpolated_statuses};
 pub use known::StoredMapError;
 pub use names::{Axis, TrajectorySchema};
 pub use record::{RunRecord, utc_timestamp};

@@ -13,12 +13,13 @@ use crate::model::{
 use crate::numeric::random::uniform;
 use crate::program::Program;
 use crate::scene::Scene;
-use crate::sweep::Numerics;
+use crate::sweep::{Choices, Numerics};
 use rustc_hash::FxHashMap;
 
-/// Nearer to a surface than this, relative to the condition, a flight begins on it: states are given
-/// with so many digits.
-const BEGINS: f64 = 1e-12;
+/// Nearer to a surface than this, relative to the condition, a flight begins on it: rounding.
+const BEGINS: f64 = 2e-14;
+/// Tolerance of flights that an orbit is looked for with, at most.
+const ORBIT_RTOL: f64 = 1e-11;
 
 /// What is asked of a simulation in place of what the scene's `[simulation]` says.
 #[derive(Clone, Debug, Default)]
@@ -154,7 +155,7 @@ impl Session<'_> {
             control,
             simulated,
             ..
-        } = self.prepare_simulation(options)?;
+        } = self.prepare_simulation(options, self.choices)?;
         self.note_contacts(&initial);
         let flights = simulator.fly(&initial, &options)?;
         if let Some(lost) = flights.lost {
@@ -190,10 +191,21 @@ impl Session<'_> {
         options: &SimulationOptions,
     ) -> Result<Vec<Result<Cycle, CycleError>>, SessionError> {
         let near = self.starts(near)?;
-        let mut prepared = self.prepare_simulation(&SimulationOptions {
+        // What comes back to within the tolerance of a plain flight need not be an orbit.
+        let numerics = Numerics::choose(&self.scene.model, self.backend.as_ref(), self.choices)?;
+        let exact = self.backend.supports(Precision::F64);
+        let choices = Choices {
+            precision: exact.then_some(Precision::F64).or(self.choices.precision),
+            rtol: exact
+                .then_some(numerics.rtol.min(ORBIT_RTOL))
+                .or(self.choices.rtol),
+            ..self.choices
+        };
+        let asked = SimulationOptions {
             samples: Some(0),
             ..options.clone()
-        })?;
+        };
+        let mut prepared = self.prepare_simulation(&asked, choices)?;
         let n = self.scene.model.states.len();
         let parts = &prepared.parts;
         let mut orbits = Orbits::new(
@@ -210,6 +222,17 @@ impl Session<'_> {
         (near.chunks(n))
             .map(|guess| Ok(orbits.cycle(guess, events, &prepared.options)?))
             .collect()
+    }
+
+    /// Where flights begin, if orbits were looked for near states: at the orbit, or in the state near
+    /// which none was found.
+    #[must_use]
+    pub fn begins(&self, near: &[f64], found: &[Result<Cycle, CycleError>]) -> Vec<f64> {
+        let near = near.chunks(self.scene.model.states.len());
+        let begins = near
+            .zip(found)
+            .flat_map(|(near, found)| found.as_ref().map_or(near, |cycle| &cycle.start));
+        begins.copied().collect()
     }
 
     /// Says so where flights begin in states that the mechanism's contacts do not allow: forces keep
@@ -269,14 +292,18 @@ impl Session<'_> {
         }
     }
 
-    fn prepare_simulation(&self, asked: &SimulationOptions) -> Result<Prepared, SessionError> {
+    fn prepare_simulation(
+        &self,
+        asked: &SimulationOptions,
+        choices: Choices,
+    ) -> Result<Prepared, SessionError> {
         let model = &self.scene.model;
         let given = model.simulation.as_ref();
         let time = (asked.time)
             .or(given.and_then(|s| s.time))
             .or(model.final_time())
             .ok_or(SessionError::NoTime)?;
-        let numerics = Numerics::choose(model, self.backend.as_ref(), self.choices)?;
+        let numerics = Numerics::choose(model, self.backend.as_ref(), choices)?;
         let law = self.law_of(asked.law.as_ref())?;
         let mut system = Closed::new(model, law.as_ref());
         let guards: Vec<Event> = (model.guards.iter())

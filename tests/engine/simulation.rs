@@ -890,7 +890,7 @@ fn an_equilibrium_is_no_orbit() {
 /// What an impact adds to the speed is a little more, or less, than what is lost until the next.
 #[test]
 fn an_orbit_comes_back() {
-    for gain in [1.0 - 1e-6, 1.0, 1.0 + 1e-6] {
+    for gain in [1.0 - 1e-3, 1.0 - 1e-6, 1.0, 1.0 + 1e-6, 1.0 + 1e-4] {
         let section =
             format!("[events.section]\nwhen = \"x >= 0\"\nset = {{ v = \"{gain:?}*v\" }}");
         let scene = oscillator(["v", "-x"], &section);
@@ -966,5 +966,83 @@ fn a_flight_begins_on_a_guard() {
             assert_eq!(down.status(0), "guard_above");
             assert!(down.flights.t[0] < 1e-6, "{}", down.flights.t[0]);
         }
+    }
+}
+
+/// What is located to the tolerance alone would be met again behind the event.
+#[test]
+fn a_crossing_is_met_once_at_any_tolerance() {
+    let count = "[events.a]\nwhen = \"x <= 0.19\"\nset = { n = \"n + 0.01\" }";
+    for method in ["taylor", "dop853", "tsit5"] {
+        for rtol in [1e-3, 1e-4, 1e-6, 1e-9] {
+            let scene = scene(&format!(
+                r#"
+                states = {{ x = {{}}, v = {{}}, n = {{}} }}
+                controls = {{ u = {{}} }}
+                dynamics = {{ x = "v", v = "-sin(3*x)", n = "0" }}
+                cost = {{ running = "0.5*u^2", terminal = "x^2", final_time = 1 }}
+                region = {{ x = [-2, 2], v = [-2, 2], n = [-2, 2] }}
+                integrator = {{ rtol = {rtol:?}, method = "{method}", precision = "f64" }}
+                {count}
+                "#
+            ));
+            for x in [0.5, 0.71, 0.93] {
+                let done = simulated(&scene, &[x, 0.0, 0.0], 40.0);
+                let jumps = &done.flights.jumps;
+                assert!(jumps.len() >= 4, "{method} {rtol}");
+                for (a, b) in jumps.iter().zip(&jumps[1..]) {
+                    assert!(b.t - a.t > 1.0, "{method} {rtol}: {} {}", a.t, b.t);
+                }
+                // On the surface to rounding, whatever the tolerance is.
+                assert!(jumps.iter().all(|j| (j.before[0] - 0.19).abs() < 1e-14));
+            }
+        }
+    }
+}
+
+/// Where flights that differ by their tolerance part within a phase.
+#[test]
+fn events_after_sensitive_motion_are_located() {
+    let lorenz = scene(
+        r#"
+        states = { x = {}, y = {}, z = {} }
+        controls = { u = {} }
+        dynamics = { x = "10*(y - x)", y = "x*(28 - z) - y + u", z = "x*y - 8*z/3" }
+        cost = { running = "0.5*u^2", terminal = "x^2", final_time = 1 }
+        region = { x = [-20, 20], y = [-30, 30], z = [0, 50] }
+        events = { high = { when = "x >= 15", set = { x = "x" } } }
+        "#,
+    );
+    let mut met = 0;
+    for rtol in [1e-6, 1e-9] {
+        for x in [1.0, 2.0, 3.0, -4.0] {
+            let done = at_tolerance(&lorenz, rtol, &[x, 2.0, 20.0], 60.0);
+            assert_eq!(done.status(0), "time", "{rtol} {x}");
+            let jumps = &done.flights.jumps;
+            assert!(jumps.iter().all(|j| (j.before[0] - 15.0).abs() < 1e-12));
+            met += jumps.len();
+        }
+    }
+    // Once in three time units, about.
+    assert!((80..300).contains(&met), "{met}");
+}
+
+/// Those before it in the scene happen before the flight ends.
+#[test]
+fn three_events_at_one_moment() {
+    let count = "[events.count]\nwhen = \"x <= 0\"\nset = { n = \"n + 1\" }\n";
+    let floor = "[events.floor]\nwhen = \"x <= 0\"\nset = { v = \"-0.5*v\" }\n";
+    let stop = "[events.stop]\nwhen = \"x <= 0\"\nends = true\n";
+    for (events, met, fast) in [
+        ([count, floor, stop].concat(), 1.0, false),
+        ([floor, count, stop].concat(), 0.0, false),
+        ([floor, stop, count].concat(), 0.0, false),
+        ([stop, count, floor].concat(), 0.0, true),
+        ([count, stop, floor].concat(), 1.0, true),
+    ] {
+        let done = simulated(&oscillator(["v", "-9.81"], &events), &[1.0, 0.0, 0.0], 3.0);
+        assert_eq!(done.status(0), "event_stop", "{events}");
+        assert_eq!(done.flights.last[2], met, "{events}");
+        assert_eq!(done.flights.last[1] < -4.0, fast, "{events}");
     }
 }

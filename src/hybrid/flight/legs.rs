@@ -18,6 +18,8 @@ const ROUNDINGS: f64 = 64.0;
 const TOLERANCES: f64 = 10.0;
 /// So many corrections in a row that come no nearer show rounding.
 const STALE: usize = 3;
+/// Short flights from the nearest state to the surface, at most.
+const POLISHING: usize = 6;
 /// Times that a suspected event between steps is looked for, and how many in a leg.
 const LOOKS: usize = 4;
 const SUSPECTS: usize = 16;
@@ -60,6 +62,8 @@ struct Sought<'f> {
     /// The nearest so far, and for how many corrections it has been that.
     best: Option<Near>,
     stale: usize,
+    /// Where the leg has ended, and when: it is near.
+    end: (Vec<f64>, f64),
 }
 
 /// A state near an event.
@@ -78,6 +82,7 @@ impl<'f> Sought<'f> {
         Self {
             after: unmoved.map_or(since, |[after, _]| after.max(since)),
             until: between.map(|[_, until]| until),
+            end: (flight.x.clone(), flight.flown),
             flight,
             event,
             best: None,
@@ -472,32 +477,102 @@ impl Simulator {
                 let here = self.condition(&self.conditions.eval(&x), sought.event);
                 let there = sought.is_there(x, here);
                 if there || correction == CORRECTIONS || sought.stale >= STALE {
-                    self.settle(sought, options);
-                } else if sought.correct(here, options.time) {
+                    continue;
+                }
+                if sought.correct(here, options.time) {
                     still.push(k);
                 }
             }
             open = still;
         }
+        self.polish(at, &run, options, flights)?;
+        for sought in at {
+            self.settle(sought, options);
+        }
         Ok(())
     }
 
-    /// The nearest state that was found is the event's, if it is one.
-    fn settle(&self, sought: &mut Sought<'_>, options: &Options) {
-        let Some(Near { flown, x, here }) = sought.best.take() else {
-            return;
-        };
-        let grain = self.grain(options);
+    /// Flies from the nearest states onto the surface. Flights from the beginning of a phase that
+    /// differ a little in their time differ by their tolerance in their end, which is further from the
+    /// surface than rounding; where motion is sensitive by more than that, and the nearest is where
+    /// the leg has ended.
+    fn polish(
+        &mut self,
+        at: &mut [Sought<'_>],
+        run: &Run,
+        options: &Options,
+        flights: &mut Flights,
+    ) -> Result<(), BackendError> {
+        let n = self.states;
+        for sought in at.iter_mut() {
+            if (sought.best.as_ref()).is_some_and(|best| self.is_near(best, options)) {
+                continue;
+            }
+            let (x, flown) = sought.end.clone();
+            let here = self.condition(&self.conditions.eval(&x), sought.event);
+            sought.best = Some(Near { flown, x, here });
+        }
+        let mut open: Vec<usize> = (0..at.len()).collect();
+        for _ in 0..POLISHING {
+            let to_go = |k: &usize| -> Option<(usize, f64)> {
+                let best = at[*k].best.as_ref()?;
+                let by = -best.here.ahead / best.here.slope;
+                let rounding = self.precision.epsilon() * best.here.size;
+                let is_far = best.here.ahead.abs() > rounding && by.is_finite();
+                (is_far && by.abs() <= best.flown).then_some((*k, by))
+            };
+            let going: Vec<(usize, f64)> = open.iter().filter_map(to_go).collect();
+            if going.is_empty() {
+                break;
+            }
+            let seeds: Vec<f64> = (going.iter())
+                .filter_map(|(k, by)| Some((at[*k].best.as_ref()?, by)))
+                .flat_map(|(best, by)| best.x.iter().copied().chain([*by]))
+                .collect();
+            let flown = self.plain.integrate(run, &seeds)?;
+            flights.count(&flown);
+            open.clear();
+            for (j, (k, by)) in going.into_iter().enumerate() {
+                let sought = &mut at[k];
+                let x = flown.end[j * (n + 1)..][..n].to_vec();
+                let here = self.condition(&self.conditions.eval(&x), sought.event);
+                let nearer =
+                    (sought.best.as_ref()).filter(|best| here.ahead.abs() < best.here.ahead.abs());
+                if let (Some(best), Status::Reached) = (nearer, flown.status[j]) {
+                    let flown = best.flown + by;
+                    sought.best = Some(Near { flown, x, here });
+                    open.push(k);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether a state is an event's, to the tolerance.
+    fn is_near(&self, state: &Near, options: &Options) -> bool {
+        let here = state.here;
         let rounding = ROUNDINGS * self.precision.epsilon();
         let (by, share) = (
             here.ahead / here.slope,
             rounding.max(TOLERANCES * options.rtol),
         );
-        let near = by.abs() <= share * flown || here.ahead.abs() <= rounding * here.size;
-        let comes = here.slope <= 0.0;
+        by.abs() <= share * state.flown || here.ahead.abs() <= rounding * here.size
+    }
+
+    /// The nearest state that was found is the event's, if it is one.
+    fn settle(&self, sought: &mut Sought<'_>, options: &Options) {
+        let Some(best) = sought.best.take() else {
+            return;
+        };
         let flight = &mut *sought.flight;
+        if matches!(flight.end, Some(End::Failed(_))) {
+            return;
+        }
+        let near = self.is_near(&best, options);
+        let Near { flown, x, here } = best;
+        let comes = here.slope <= 0.0;
         // What rounding makes of an event right after another one, or of bounces lower than that.
-        let again = flight.after == Some(sought.event) && here.is_flat(grain);
+        let again = flight.after == Some(sought.event) && here.is_flat(self.grain(options));
         flight.end = match flown <= SHORT * flight.t || again {
             _ if near && comes => None,
             true => Some(End::Zeno),
@@ -523,7 +598,7 @@ impl Sought<'_> {
         by.abs() <= LOCATED * flown || flown == 0.0
     }
 
-    /// The next time to look at; whether there is one. A flight that has none ends.
+    /// The next time to look at; whether there is one.
     fn correct(&mut self, here: Here, longest: f64) -> bool {
         let flight = &mut *self.flight;
         match here.ahead > 0.0 {
@@ -539,13 +614,7 @@ impl Sought<'_> {
                 self.stale = 0;
                 0.5 * (self.after + until)
             }
-            (false, None) => {
-                flight.end = Some(match flight.flown <= SHORT * flight.t {
-                    true => End::Zeno,
-                    false => End::NotLocated,
-                });
-                return false;
-            }
+            (false, None) => return false,
         };
         true
     }

@@ -107,7 +107,7 @@ impl Shown<'_> {
         match found {
             Ok(cycle) => {
                 let x: Vec<String> = (self.names().zip(&cycle.start))
-                    .map(|(name, x)| format!("{name} = {x:.12}"))
+                    .map(|(name, x)| format!("{name} = {}", number(*x, 12)))
                     .collect();
                 let multipliers: Vec<String> =
                     cycle.multipliers.iter().map(|m| complex(*m)).collect();
