@@ -163,16 +163,24 @@ impl CliError {
         if of_input { 2 } else { 1 }
     }
 
+    /// What is wrong with a scene, where that is the reason.
+    pub fn problems(&self) -> Option<&ScenarioErrors> {
+        match self {
+            CliError::Scenario(e) | CliError::Run(RunError::Load(LoadError::Scenario(e))) => {
+                Some(e)
+            }
+            _ => None,
+        }
+    }
+
     pub fn print(&self) {
         if matches!(self, CliError::NotLeast { silent: true, .. }) {
             return;
         }
         let colours = std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-        let text = match self {
-            CliError::Scenario(e) | CliError::Run(RunError::Load(LoadError::Scenario(e))) => {
-                e.render(colours)
-            }
-            other => printable(&format!("error: {other}")).into_owned(),
+        let text = match self.problems() {
+            Some(problems) => problems.render(colours),
+            None => printable(&format!("error: {self}")).into_owned(),
         };
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());

@@ -1,4 +1,8 @@
-//! The program `costate` (see `costate --help`): reads arguments, calls the library, prints.
+//! The program `costate` (see `costate --help`): reads arguments, calls the library, prints. It is
+//! called by the executable of that name, and by the one in the Python package.
+
+// The program needs result files.
+#![cfg(feature = "hdf5")]
 
 mod args;
 mod commands;
@@ -18,10 +22,23 @@ use commands::{
     value,
 };
 use costate::low_level::diagnostics::{printable, unprintable};
-use error::CliError;
-use std::process::ExitCode;
 
-fn main() -> ExitCode {
+// What the Python package shares with the program.
+pub use args::BackendChoice;
+pub use commands::check::Checked;
+pub use commands::run::summary;
+pub use common::open::backend;
+pub use common::provenance;
+pub use error::CliError;
+use std::ffi::OsString;
+
+/// Runs a command, `costate ARGUMENTS...`, and returns its exit status: 0 if it was done, 2 if what
+/// it was given is wrong. `arguments` begin with the program's name.
+///
+/// It is the whole program: it prints to the standard output and error of the process, and may set
+/// environment variables and handlers of signals, so that nothing else should run in the process
+/// when it begins.
+pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     if cfg!(unix) && std::env::var_os("XDG_RUNTIME_DIR").is_none() {
         // The Vulkan loader complains on standard error where this is unset, though nothing here
         // needs it. SAFETY: no other thread has been started yet.
@@ -30,16 +47,17 @@ fn main() -> ExitCode {
     // Without it a signal leaves a hidden file beside the result's name, and no more is lost.
     #[cfg(unix)]
     let _ = costate::low_level::files::removed_at_signals();
-    let cli = match args::Cli::try_parse() {
+    let arguments: Vec<OsString> = arguments.into_iter().collect();
+    let cli = match args::Cli::try_parse_from(&arguments) {
         Ok(cli) => cli,
         Err(e) => {
             // Coloured unless an argument has what a terminal would obey.
-            let odd = |a: std::ffi::OsString| unprintable(&a.to_string_lossy()).is_some();
-            match std::env::args_os().any(odd) {
+            let odd = |a: &OsString| unprintable(&a.to_string_lossy()).is_some();
+            match arguments.iter().any(odd) {
                 true => eprint!("{}", printable(&e.render().to_string())),
                 false => drop(e.print()),
             }
-            return ExitCode::from(if e.use_stderr() { 2 } else { 0 });
+            return if e.use_stderr() { 2 } else { 0 };
         }
     };
     let done = match cli.command {
@@ -66,12 +84,12 @@ fn main() -> ExitCode {
         Command::Adapters { json } => check::list_adapters(json),
     };
     match done {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         // The reader of a pipe has gone: it has what it wanted.
-        Err(CliError::Stdout(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
+        Err(CliError::Stdout(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => 0,
         Err(e) => {
             e.print();
-            ExitCode::from(e.status())
+            e.status()
         }
     }
 }

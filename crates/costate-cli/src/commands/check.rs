@@ -23,76 +23,109 @@ const FAR: f64 = 1e-6;
 
 pub fn check(args: &CheckArgs) -> Result<(), CliError> {
     let scene = load(&args.scene)?;
-    let Scene {
-        model, hamiltonian, ..
-    } = &scene;
-    let riccati = match model.horizon {
-        Horizon::Infinite { .. } => {
-            Some(Riccati::solve(hamiltonian, model).map_err(|e| at_equilibrium(model, &e))?)
-        }
-        Horizon::Finite { .. } => None,
-    };
-    run::check_laws(&scene)?;
-    let rest = At::of(model, hamiltonian, riccati.as_ref());
-    let smallest = (model.attenuation.as_ref())
-        .map(|a| attenuation::linear(&scene, a))
-        .transpose()
-        .map_err(SessionError::from)?;
-    let smallest = model.attenuation.as_ref().zip(smallest);
+    let checked = Checked::of(&scene)?;
     if args.scene.print.quiet && !args.scene.print.json {
         return Ok(());
     }
     let terminal = Terminal::new(args.scene.print);
-    for note in &model.notes {
-        terminal.note(note);
-    }
-    let equations = Equations::new(&scene);
-    let mechanism = MechanismSummary::new(&scene);
-    let far = (mechanism.iter().flat_map(|m| &m.identities))
-        .filter(|identity| identity.residual.is_nan() || identity.residual > FAR);
-    for identity in far {
-        terminal.note(&format!(
-            "the mechanism's numbers have few digits: `{}` is off by {:.1e} of its terms somewhere in the region (masses or lengths far apart, or states near which the mechanism locks)",
-            identity.name, identity.residual
-        ));
-    }
+    checked.notes.iter().for_each(|note| terminal.note(note));
     let mut out = Printed::new();
-    if args.scene.print.json {
-        writeln!(
-            out,
-            "{:#}",
-            as_json(
-                model,
-                hamiltonian,
-                &equations,
-                riccati.as_ref().zip(rest.as_ref()),
-                smallest.as_ref().map(|(_, l)| l),
-                mechanism.as_ref()
-            )
-        )?;
-    } else {
-        write!(
-            out,
-            "{}",
-            as_text(
-                model,
-                hamiltonian,
-                &equations,
-                riccati.as_ref().zip(rest.as_ref())
-            )
-        )?;
-        if let Some(mechanism) = &mechanism {
-            write!(out, "{}", mechanism_text(mechanism))?;
-        }
-        if let Some((asked, linear)) = &smallest {
-            let text = text::attenuation::star_text(&asked.parameter, linear);
-            writeln!(
-                out,
-                "\nSmallest level of attenuation that the linearization allows\n  {text}"
-            )?;
-        }
+    match args.scene.print.json {
+        true => writeln!(out, "{:#}", checked.json())?,
+        false => write!(out, "{}", checked.text())?,
     }
     Ok(())
+}
+
+/// A scene that is well-formed, and what follows from it.
+pub struct Checked<'s> {
+    scene: &'s Scene,
+    equations: Equations,
+    riccati: Option<Riccati>,
+    rest: Option<At>,
+    smallest: Option<LinearAttenuation>,
+    mechanism: Option<MechanismSummary>,
+    /// Remarks that a user should read.
+    pub notes: Vec<String>,
+}
+
+impl<'s> Checked<'s> {
+    /// Of a scene.
+    ///
+    /// # Errors
+    /// What is wrong with its equilibrium, its laws or its levels of attenuation.
+    pub fn of(scene: &'s Scene) -> Result<Self, CliError> {
+        let Scene {
+            model, hamiltonian, ..
+        } = scene;
+        let riccati = match model.horizon {
+            Horizon::Infinite { .. } => {
+                Some(Riccati::solve(hamiltonian, model).map_err(|e| at_equilibrium(model, &e))?)
+            }
+            Horizon::Finite { .. } => None,
+        };
+        run::check_laws(scene)?;
+        let smallest = (model.attenuation.as_ref())
+            .map(|a| attenuation::linear(scene, a))
+            .transpose()
+            .map_err(SessionError::from)?;
+        let mechanism = MechanismSummary::new(scene);
+        let far = (mechanism.iter().flat_map(|m| &m.identities))
+            .filter(|identity| identity.residual.is_nan() || identity.residual > FAR);
+        let far = far.map(|identity| {
+            format!(
+                "the mechanism's numbers have few digits: `{}` is off by {:.1e} of its terms somewhere in the region (masses or lengths far apart, or states near which the mechanism locks)",
+                identity.name, identity.residual
+            )
+        });
+        let notes = model.notes.iter().cloned().chain(far).collect();
+        Ok(Self {
+            scene,
+            equations: Equations::new(scene),
+            rest: At::of(model, hamiltonian, riccati.as_ref()),
+            riccati,
+            smallest,
+            mechanism,
+            notes,
+        })
+    }
+
+    fn local(&self) -> Option<(&Riccati, &At)> {
+        self.riccati.as_ref().zip(self.rest.as_ref())
+    }
+
+    /// For people.
+    pub fn text(&self) -> String {
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        let mut text = as_text(model, hamiltonian, &self.equations, self.local());
+        if let Some(mechanism) = &self.mechanism {
+            text.push_str(&mechanism_text(mechanism));
+        }
+        if let Some((asked, linear)) = model.attenuation.as_ref().zip(self.smallest.as_ref()) {
+            let star = text::attenuation::star_text(&asked.parameter, linear);
+            text.push_str(&format!(
+                "\nSmallest level of attenuation that the linearization allows\n  {star}\n"
+            ));
+        }
+        text
+    }
+
+    /// For programs.
+    pub fn json(&self) -> serde_json::Value {
+        let Scene {
+            model, hamiltonian, ..
+        } = self.scene;
+        as_json(
+            model,
+            hamiltonian,
+            &self.equations,
+            self.local(),
+            self.smallest.as_ref(),
+            self.mechanism.as_ref(),
+        )
+    }
 }
 
 fn names(model: &Model) -> Vec<&str> {

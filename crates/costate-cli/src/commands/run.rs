@@ -11,7 +11,7 @@ use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
 use costate::low_level::model::Model;
-use costate::run::{Provenance, note_replaced, output_of, output_of_points, path_of_stopped};
+use costate::run::{Done, Provenance, note_replaced, output_of, output_of_points, path_of_stopped};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
@@ -164,12 +164,18 @@ fn to_file(
     provenance: &Provenance,
 ) -> Result<(Value, PathBuf, bool), CliError> {
     let done = session.run(wanted, path, provenance)?;
+    let stopped = done.outcome.stopped || done.laws.stopped;
+    Ok((summary(&done, wanted.laws), done.path, stopped))
+}
+
+/// What `--json` prints of a run; `laws`: also of the scene's laws and loops.
+pub fn summary(done: &Done, laws: bool) -> Value {
     let mut summary = json!(done.summary);
     if done.outcome.listed > 0 {
         summary["points"] = json!(listed::points(&done.outcome));
     }
-    let laws = &done.laws;
-    let feedback = laws.feedback.as_ref();
+    let all = &done.laws;
+    let feedback = all.feedback.as_ref();
     let parts = [
         (
             "feedback",
@@ -177,22 +183,21 @@ fn to_file(
         ),
         (
             "closed_loop",
-            json!((laws.closed_loop.as_ref()).map(|e| EvaluationSummary::new(e, &done.path))),
+            json!((all.closed_loop.as_ref()).map(|e| EvaluationSummary::new(e, &done.path))),
         ),
         (
             "dissipation",
-            json!(laws.dissipation.as_ref().map(DissipationSummary::new)),
+            json!(all.dissipation.as_ref().map(DissipationSummary::new)),
         ),
         (
             "attenuation",
-            json!(laws.attenuation.as_ref().map(AttenuationSummary::new)),
+            json!(all.attenuation.as_ref().map(AttenuationSummary::new)),
         ),
     ];
-    for (name, part) in parts.into_iter().filter(|_| wanted.laws) {
+    for (name, part) in parts.into_iter().filter(|_| laws) {
         summary[name] = part;
     }
-    let stopped = done.outcome.stopped || laws.stopped;
-    Ok((summary, done.path, stopped))
+    summary
 }
 
 /// The answers as a table; there is no result file.

@@ -34,9 +34,7 @@ pub fn simulate(args: &SimulateArgs) -> Result<(), CliError> {
         let found = session
             .cycles(Some(&near), events, &options)
             .map_err(|e| ending.nothing_of(e))?;
-        let begins = (near.chunks(model.states.len()).zip(&found))
-            .flat_map(|(near, found)| found.as_ref().map_or(near, |cycle| &cycle.start));
-        from = Some(begins.copied().collect());
+        from = Some(session.begins(&near, &found));
         cycles = Some((events, found));
     }
     let simulated = session

@@ -1,0 +1,55 @@
+"""Value functions and optimal feedback of nonlinear systems, as labelled arrays.
+
+>>> import pycostate
+>>> p = pycostate.Problem.load("pendulum.toml")
+>>> ds = p.solve(theta=[0.5, 1.0], omega=0.0)   # an xarray.Dataset
+>>> v = p.value(p.map(error=1e-3))              # V(x), v.p(x), v.u(x)
+"""
+
+from __future__ import annotations
+
+from . import errors
+from ._problem import Check, Law, Problem, Value, load_law, open, report
+from .errors import (
+    CostateError,
+    CostateWarning,
+    InputError,
+    Interrupted,
+    OutOfTime,
+    SceneError,
+)
+
+__all__ = [
+    "Check",
+    "CostateError",
+    "CostateWarning",
+    "InputError",
+    "Interrupted",
+    "Law",
+    "OutOfTime",
+    "Problem",
+    "SceneError",
+    "Value",
+    "errors",
+    "load_law",
+    "main",
+    "open",
+    "report",
+]
+
+
+def main() -> None:
+    """The command ``costate``."""
+    import sys
+
+    from ._engine import run_command
+
+    sys.exit(run_command(["costate", *sys.argv[1:]]))
+
+
+def __getattr__(name):
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("pycostate")
+    raise AttributeError(f"module 'pycostate' has no attribute {name!r}")

@@ -1,0 +1,411 @@
+//! What a session computes, into result files.
+
+use crate::error::{of_input, raised};
+use crate::going::{Gone, Listener, going};
+use crate::law::Law;
+use crate::scene::Scene;
+use costate::backend::Deadline;
+use costate::low_level::hdf5::ResultFile;
+use costate::low_level::model::{Method, Report};
+use costate::low_level::result::{RunRecord, Stored, TrajectorySchema};
+use costate::run::{
+    LawFiles, Provenance, RunError, evaluate as evaluated, fit_stored, write_attenuation,
+    write_study,
+};
+use costate::session::summary::{AttenuationSummary, EvaluationSummary, study_rows};
+use costate::session::{
+    ControlledBy, Kept, Listed, LoopOptions, Session, SimulationOptions, States, Wanted,
+};
+use costate::{Choices, Precision, Weights};
+use costate_cli::{BackendChoice, CliError, provenance};
+use numpy::PyReadonlyArray2;
+use pyo3::prelude::*;
+use serde_json::{Value, json};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Where and how exactly to compute, and who is told of it.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct How {
+    backend: String,
+    adapter: Option<String>,
+    precision: Option<String>,
+    method: Option<String>,
+    rtol: Option<f64>,
+    seed: u64,
+    time_limit: Option<f64>,
+    progress: Py<PyAny>,
+    note: Py<PyAny>,
+}
+
+/// The same, understood.
+struct Numerics {
+    backend: BackendChoice,
+    adapter: Option<String>,
+    choices: Choices,
+}
+
+impl How {
+    fn numerics(&self, py: Python<'_>) -> PyResult<Numerics> {
+        let backend = match self.backend.as_str() {
+            "auto" => BackendChoice::Auto,
+            "cpu" => BackendChoice::Cpu,
+            "gpu" => BackendChoice::Gpu,
+            other => {
+                let message = format!("backend = {other:?}: \"auto\", \"cpu\" or \"gpu\"");
+                return Err(of_input(py, &message));
+            }
+        };
+        let precision = match self.precision.as_deref() {
+            None => None,
+            Some("f64") => Some(Precision::F64),
+            Some("f32") => Some(Precision::F32),
+            Some(other) => {
+                let message = format!("precision = {other:?}: \"f32\" or \"f64\"");
+                return Err(of_input(py, &message));
+            }
+        };
+        let named = |name: &String| {
+            (Method::ALL.into_iter())
+                .find_map(|(own, method)| (own == name).then_some(method))
+                .ok_or_else(|| {
+                    let all: Vec<&str> = Method::ALL.iter().map(|(own, _)| *own).collect();
+                    of_input(py, &format!("method = {name:?}: {}", all.join(", ")))
+                })
+        };
+        if let Some(rtol) = self.rtol.filter(|rtol| !(*rtol > 0.0 && *rtol < 1.0)) {
+            return Err(of_input(py, &format!("rtol = {rtol}: between 0 and 1")));
+        }
+        Ok(Numerics {
+            backend,
+            adapter: self.adapter.clone(),
+            choices: Choices {
+                precision,
+                method: self.method.as_ref().map(named).transpose()?,
+                rtol: self.rtol,
+                seed: self.seed,
+                ..Choices::default()
+            },
+        })
+    }
+
+    fn going<T: Send>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&Listener, Deadline) -> T + Send,
+    ) -> Gone<T> {
+        let (progress, note) = (self.progress.bind(py), self.note.bind(py));
+        going(py, (progress, note), self.time_limit, work)
+    }
+}
+
+impl Numerics {
+    fn session<'s>(
+        &self,
+        scene: &'s costate::Scene,
+        listener: &'s Listener,
+        deadline: Deadline,
+    ) -> Result<Session<'s>, CliError> {
+        let method = self.choices.method.or(scene.model.integrator.method);
+        let backend = costate_cli::backend(self.backend, self.adapter.as_deref(), method)?;
+        Ok(Session::on(scene, backend)
+            .choosing(self.choices)
+            .until(deadline)
+            .with_progress(listener))
+    }
+
+    /// Puts a file in place, with the record of what made it.
+    fn finish(
+        &self,
+        session: &Session<'_>,
+        file: ResultFile,
+        provenance: &Provenance,
+    ) -> Result<PathBuf, CliError> {
+        let integrator = &session.scene().model.integrator;
+        let record = RunRecord {
+            rtol: self.choices.rtol.unwrap_or(integrator.rtol),
+            atol: integrator.atol,
+            ..session.record(provenance)
+        };
+        record.write(&file)?;
+        Ok(file.finish()?)
+    }
+}
+
+/// What was written: the file, a summary as JSON, whether it was ended before all was done, and the
+/// exception that ended it.
+type Written = (PathBuf, String, bool, Option<PyErr>);
+
+fn written(
+    py: Python<'_>,
+    gone: Gone<Result<(PathBuf, Value, bool), CliError>>,
+) -> PyResult<Written> {
+    match (gone.done, gone.interrupted) {
+        (Ok((path, summary, stopped)), interrupted) => {
+            Ok((path, summary.to_string(), stopped, interrupted))
+        }
+        // What could not be done any more is no news.
+        (Err(e), Some(interrupted)) if e.status() != 2 => {
+            drop(e);
+            Err(interrupted)
+        }
+        (Err(e), _) => Err(raised(py, e)),
+    }
+}
+
+/// `what`: `run`, `sweep`, `homotopy`, or `solve` for states `[state][component]`. `kept`: what is
+/// kept of swept trajectories.
+#[pyfunction]
+#[pyo3(signature = (scene, what, out, how, x=None, *, one_sheet=false, samples=None, grid_guesses=false, kept="all"))]
+#[allow(clippy::too_many_arguments, reason = "named, in Python")]
+pub fn run(
+    py: Python<'_>,
+    scene: &Scene,
+    what: &str,
+    out: PathBuf,
+    how: How,
+    x: Option<PyReadonlyArray2<'_, f64>>,
+    one_sheet: bool,
+    samples: Option<usize>,
+    grid_guesses: bool,
+    kept: &str,
+) -> PyResult<Written> {
+    let mut wanted = match (what, x) {
+        ("run", None) => Wanted::all(),
+        ("sweep", None) => Wanted::sweep(),
+        ("homotopy", None) => Wanted::homotopy(),
+        ("solve", Some(x)) => Wanted {
+            states: States::Listed(Listed {
+                x: x.as_slice()?.to_vec(),
+                one_sheet,
+                samples,
+            }),
+            ..Wanted::default()
+        },
+        _ => return Err(of_input(py, "what is to be run?")),
+    };
+    wanted.grid_guesses = grid_guesses;
+    wanted.kept = match kept {
+        "all" => Kept::All,
+        "values" => Kept::Values,
+        "nothing" => Kept::Nothing,
+        _ => {
+            let message = format!("keep = {kept:?}: \"all\", \"values\" or \"nothing\"");
+            return Err(of_input(py, &message));
+        }
+    };
+    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
+    let gone = how.going(py, |listener, deadline| {
+        let provenance = provenance();
+        let session = numerics.session(&scene, listener, deadline)?;
+        let done = session.run(&wanted, &out, &provenance)?;
+        let stopped = done.outcome.stopped || done.laws.stopped;
+        let summary = costate_cli::summary(&done, wanted.laws);
+        Ok((done.path, summary, stopped))
+    });
+    written(py, gone)
+}
+
+/// The scene's `[study]`.
+#[pyfunction]
+pub fn study(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
+    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
+    let gone = how.going(py, |listener, deadline| {
+        let provenance = provenance();
+        let session = numerics.session(&scene, listener, deadline)?;
+        let mut file = ResultFile::create(&out)?;
+        let variants = session.study()?;
+        let stopped = write_study(&session, &mut file, &variants, &provenance)?;
+        let path = numerics.finish(&session, file, &provenance)?;
+        Ok((path, json!(study_rows(&scene.model, &variants)), stopped))
+    });
+    written(py, gone)
+}
+
+/// The scene's `[attenuation]`.
+#[pyfunction]
+pub fn attenuation(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
+    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
+    let gone = how.going(py, |listener, deadline| {
+        let provenance = provenance();
+        let session = numerics.session(&scene, listener, deadline)?;
+        let mut file = ResultFile::create(&out)?;
+        let found = session.attenuation()?;
+        write_attenuation(&mut file, &scene.model, &found)?;
+        let path = numerics.finish(&session, file, &provenance)?;
+        Ok((path, json!(AttenuationSummary::new(&found)), false))
+    });
+    written(py, gone)
+}
+
+/// Flights forward in time from `[flight][component]`, with the scene's events. `law`: the name of one
+/// of the scene's, or a weights file's (name, text).
+#[pyfunction]
+#[pyo3(signature = (scene, out, how, x=None, *, time=None, events=None, samples=None, law=None, weights=None, cycle=None))]
+#[allow(clippy::too_many_arguments, reason = "named, in Python")]
+pub fn simulate(
+    py: Python<'_>,
+    scene: &Scene,
+    out: PathBuf,
+    how: How,
+    x: Option<PyReadonlyArray2<'_, f64>>,
+    time: Option<f64>,
+    events: Option<usize>,
+    samples: Option<usize>,
+    law: Option<String>,
+    weights: Option<(String, String)>,
+    cycle: Option<usize>,
+) -> PyResult<Written> {
+    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
+    let x: Option<Vec<f64>> = x
+        .map(|x| Ok::<_, PyErr>(x.as_slice()?.to_vec()))
+        .transpose()?;
+    let options = SimulationOptions {
+        time,
+        events,
+        samples,
+        law: match (law, weights) {
+            (_, Some(weights)) => Some(ControlledBy::Weights(of_text(weights))),
+            (Some(name), None) => Some(ControlledBy::Law(name)),
+            (None, None) => None,
+        },
+    };
+    let gone = how.going(py, |listener, deadline| {
+        let provenance = provenance();
+        let session = numerics.session(&scene, listener, deadline)?;
+        let mut file = ResultFile::create(&out)?;
+        let axes = TrajectorySchema::axes(&scene.model);
+        let cycle = cycle.or(scene.model.simulation.as_ref().and_then(|s| s.cycle));
+        let (mut from, mut cycles) = (x.clone(), None);
+        if let Some(events) = cycle {
+            let near = session.starts(x.as_deref())?;
+            let found = session.cycles(Some(&near), events, &options)?;
+            from = Some(session.begins(&near, &found));
+            cycles = Some((events, found));
+        }
+        let simulated = session.simulate(from.as_deref(), &options)?;
+        let backend = session.backend();
+        file.simulation(&axes, &simulated, (backend.name(), &backend.adapter()))?;
+        if let Some((events, cycles)) = &cycles {
+            file.cycles(&axes, cycles, *events)?;
+        }
+        let path = numerics.finish(&session, file, &provenance)?;
+        Ok((path, json!({ "status": simulated.by_status() }), false))
+    });
+    written(py, gone)
+}
+
+/// The scene's `[closed_loop]` and `[dissipation]`, with V and laws of a result file, and further laws
+/// (name, text).
+#[pyfunction]
+#[pyo3(signature = (scene, out, how, stored=None, *, laws=None, weights=Vec::new(), random=None, solve=false))]
+#[allow(clippy::too_many_arguments, reason = "named, in Python")]
+pub fn evaluate(
+    py: Python<'_>,
+    scene: &Scene,
+    out: PathBuf,
+    how: How,
+    stored: Option<PathBuf>,
+    laws: Option<Vec<String>>,
+    weights: Vec<(String, String)>,
+    random: Option<usize>,
+    solve: bool,
+) -> PyResult<Written> {
+    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
+    let options = LoopOptions {
+        laws,
+        random,
+        solve,
+    };
+    let added = weights.into_iter().map(of_text).collect();
+    let gone = how.going(py, |listener, deadline| {
+        let provenance = provenance();
+        let stored = stored.map(Stored::open).transpose()?;
+        let session = numerics.session(&scene, listener, deadline)?;
+        let out = Some(out.as_path());
+        let done = evaluated(&session, stored.as_ref(), added, &options, out, &provenance)?;
+        let closed_loop = done.closed_loop.as_ref();
+        let summary = closed_loop.map(|e| EvaluationSummary::new(e, &done.path));
+        Ok((done.path.clone(), json!(summary), false))
+    });
+    written(py, gone)
+}
+
+/// Fits the laws of `[feedback]` of a scene to what a result file holds, into that file. `directory`:
+/// where the files of the laws go. Returns the laws, the names of those left out, and the exception
+/// that ended it.
+#[pyfunction]
+#[pyo3(signature = (scene, file, directory, how, *, names=None, starts=None, seed=None))]
+#[allow(clippy::too_many_arguments, reason = "named, in Python")]
+pub fn fit(
+    py: Python<'_>,
+    scene: &Scene,
+    file: PathBuf,
+    directory: PathBuf,
+    how: How,
+    names: Option<Vec<String>>,
+    starts: Option<usize>,
+    seed: Option<u64>,
+) -> PyResult<(Vec<Law>, Vec<String>, Option<PyErr>)> {
+    let inner = Arc::clone(&scene.inner);
+    let gone = how.going(py, |listener, deadline| {
+        let stored = Stored::open(&file)?;
+        let mut laws = inner.model.feedback.clone();
+        laws.retain(|law| names.as_ref().is_none_or(|names| names.contains(&law.name)));
+        for law in &mut laws {
+            law.seed = seed.unwrap_or(law.seed);
+            law.starts = starts.unwrap_or(law.starts);
+        }
+        if laws.is_empty() {
+            return Err(CliError::from(RunError::NoFeedback { path: file.clone() }));
+        }
+        let files = LawFiles::new(&file, Some(&directory));
+        let going: (&dyn costate::session::Progress, _) = (listener, deadline);
+        let done = fit_stored(&stored, &inner.model, &laws, &files, going)?;
+        let fitted: Vec<Law> = (done.fitted.laws.iter())
+            .map(|law| Law::fitted(law, Arc::clone(&inner)))
+            .collect::<Result<_, CliError>>()?;
+        Ok((fitted, done.fitted.left_out))
+    });
+    match (gone.done, gone.interrupted) {
+        (Ok((laws, left_out)), interrupted) => Ok((laws, left_out, interrupted)),
+        (Err(_), Some(interrupted)) => Err(interrupted),
+        (Err(e), None) => Err(raised(py, e)),
+    }
+}
+
+/// The report of a result file: the page, the names of its pictures, and what could not be drawn.
+#[pyfunction]
+#[pyo3(signature = (file, page, *, axes=None, slice=Vec::new(), levels=Vec::new(), width=None))]
+pub fn report(
+    py: Python<'_>,
+    file: PathBuf,
+    page: PathBuf,
+    axes: Option<[String; 2]>,
+    slice: Vec<(String, f64)>,
+    levels: Vec<f64>,
+    width: Option<u32>,
+) -> PyResult<(PathBuf, Vec<String>, Vec<(String, String)>)> {
+    let done = py.detach(|| {
+        let stored = Stored::open(&file)?;
+        let choice = Report {
+            axes,
+            slice,
+            levels,
+        };
+        let options = costate_report::Options {
+            out: Some(page),
+            choice,
+            width,
+        };
+        Ok::<_, CliError>(costate_report::write(&stored, &options)?)
+    });
+    let written = done.map_err(|e| raised(py, e))?;
+    Ok((written.page, written.pictures, written.missing))
+}
+
+fn of_text((name, text): (String, String)) -> Weights {
+    let file = Path::new(&name).display().to_string();
+    Weights { name, text, file }
+}
