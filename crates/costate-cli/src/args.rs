@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 /// Value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.
 #[derive(Parser, Debug)]
-#[command(version, about, arg_required_else_help = true)]
+#[command(name = "costate", version, about, arg_required_else_help = true)]
 pub struct Cli {
     #[command(subcommand)]
     pub command: Command,
