@@ -67,4 +67,6 @@ cargo test --release --workspace "$@"
 # Readers of the result file in other languages; a filtered run of the tests leaves them out.
 if [[ "$*" == "" || "$*" == --locked ]]; then
     COSTATE="${CARGO_TARGET_DIR:-target}/release/costate" tests/examples.sh
+    # The Python package, as a wheel.
+    tests/python.sh
 fi
