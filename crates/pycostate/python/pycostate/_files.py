@@ -8,6 +8,7 @@ import tempfile
 import weakref
 from pathlib import Path
 
+from . import _pictures
 from .errors import InputError
 
 _KEY = "pycostate"
@@ -106,6 +107,7 @@ def _dataset(group):
 
 
 def _held(thing, file: ResultFile):
+    _pictures.register()
     thing.encoding = {"source": str(file.path), _KEY: file}
     return thing
 
