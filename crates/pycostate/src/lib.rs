@@ -7,6 +7,7 @@ mod going;
 mod law;
 mod runs;
 mod scene;
+mod system;
 mod value;
 
 use pyo3::prelude::*;
@@ -22,6 +23,8 @@ mod _engine {
     use super::runs::{attenuation, evaluate, fit, report, run, simulate, study};
     #[pymodule_export]
     use super::scene::{Scene, scene_of_file};
+    #[pymodule_export]
+    use super::system::System;
     #[pymodule_export]
     use super::value::Value;
 }

@@ -454,9 +454,12 @@ class Problem:
 
         Parameters
         ----------
-        law : Law or str
-            What controls: a fitted law, or the name of one of the scene's (``"lqr"``). None: the
-            scene's, or controls as they are at the equilibrium.
+        law : Law, str or callable
+            What controls: a fitted law, the name of one of the scene's (``"lqr"``), or any function of
+            states (N, states) that gives controls (N, controls), such as ``p.value(m).u``. None: the
+            scene's, or controls as they are at the equilibrium. A function is called by Python, a stage
+            of a step for all flights at once; controls are kept within their bounds, flights end where a
+            guard is left, and events are refused.
         x0 : array_like, Dataset
             States to begin with, as the points of :meth:`solve`; also by name.
         time : float
@@ -472,8 +475,10 @@ class Problem:
         -------
         xarray.DataTree
             ``simulation``, ``simulation_events``, ``simulation_samples``, and ``cycles`` where orbits
-            were looked for.
+            were looked for. Under a function ``simulation`` has J, too, the running cost.
         """
+        if callable(law) and not isinstance(law, Law):
+            return self._fly(law, x0, time, samples, events or cycle or out, states_and_numerics)
         named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
         x = _Places(self, x0, named).x if x0 is not None or named else None
         options = {"time": time, "events": events, "samples": samples, "cycle": cycle}
@@ -486,6 +491,37 @@ class Problem:
             return _engine.simulate(self._scene, path, how, x, **options)
 
         return self._do(compute, states_and_numerics, out)
+
+    def _fly(self, law, x0, time, samples, others, states_and_numerics):
+        from . import _functions
+
+        if others:
+            raise InputError("events, cycle and out are not for laws of Python")
+        named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
+        how = {**self._numerics, **self._known(states_and_numerics)}
+        system = _engine.System(self._scene)
+        given = _toml.loads(self.text).get("simulation", {})
+        x = _Places(self, x0, named).x
+        for value in (time, given.get("time"), self._scene.time[1]):
+            if value is not None:
+                time = value
+                break
+        if time is None or not 0 < float(time) < float("inf"):
+            raise InputError(f"time = {time}: how long to simulate?")
+        samples = given.get("samples", 50) if samples is None else int(samples)
+        rtol = 1e-8 if how["rtol"] is None else float(how["rtol"])
+        progress, close = _progress(how["progress"])
+
+        def tell(share):
+            if progress is not None:
+                progress(f"simulated: {100 * share:.0f} %")
+
+        try:
+            done = _functions.fly(self, system, law, x, float(time), samples, rtol, tell)
+        finally:
+            close()
+        name = getattr(law, "__qualname__", type(law).__name__)
+        return _functions.tree(self, system, done, time, name, rtol)
 
     def evaluate(self, result=None, *, laws=None, added=(), random=None, solve=False, out=None, **numerics):
         """Laws side by side from many initial states, as ``[closed_loop]`` and ``[dissipation]`` ask.
