@@ -26,6 +26,7 @@ use costate::low_level::diagnostics::{printable, unprintable};
 // What the Python package shares with the program.
 pub use args::BackendChoice;
 pub use commands::check::Checked;
+pub use commands::export::{local_header, map_header};
 pub use commands::run::summary;
 pub use common::open::backend;
 pub use common::provenance;

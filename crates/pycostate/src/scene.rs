@@ -101,6 +101,13 @@ impl Scene {
         (model.time_name().to_owned(), model.final_time())
     }
 
+    /// A header of C of the series about the equilibrium.
+    fn local_to_c(&self, py: Python<'_>, name: &str, degree: usize) -> PyResult<String> {
+        let inner = Arc::clone(&self.inner);
+        py.detach(move || costate_cli::local_header(name, &inner, degree))
+            .map_err(|e| raised(py, e))
+    }
+
     /// What follows from the scene: text, JSON and remarks.
     fn check(&self, py: Python<'_>) -> PyResult<(String, String, Vec<String>)> {
         let inner = Arc::clone(&self.inner);

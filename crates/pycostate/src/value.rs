@@ -43,6 +43,14 @@ impl Value {
         self.map.time().is_some()
     }
 
+    /// A header of C of a map in pieces; its names begin with `name`.
+    fn to_c(&self, py: Python<'_>, name: &str) -> PyResult<String> {
+        let made = Stored::open(&self.file)
+            .map_err(CliError::from)
+            .and_then(|stored| costate_cli::map_header(name, &stored));
+        made.map_err(|e| raised(py, e))
+    }
+
     /// What is known at a state, by code.
     #[staticmethod]
     fn statuses() -> Vec<(i32, &'static str)> {

@@ -84,6 +84,22 @@ pub fn export(args: &ExportArgs) -> Result<(), CliError> {
     Ok(())
 }
 
+/// A C header of a result file's map in pieces; its names begin with `name`.
+///
+/// # Errors
+/// Where the file has no map in pieces.
+pub fn map_header(name: &str, stored: &Stored) -> Result<String, CliError> {
+    Ok(map(name, stored)?.text)
+}
+
+/// A C header of the series about a scene's equilibrium, with u of a degree.
+///
+/// # Errors
+/// Where there is no equilibrium, or no such series.
+pub fn local_header(name: &str, scene: &Scene, degree: usize) -> Result<String, CliError> {
+    Ok(local(name, scene, degree)?.text)
+}
+
 /// A result file, of which is said whether its run was ended early.
 fn opened(path: &Path, terminal: &Terminal) -> Result<Stored, CliError> {
     let stored = Stored::open(path)?;

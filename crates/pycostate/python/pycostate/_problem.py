@@ -9,11 +9,16 @@ import tempfile
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from . import _engine, _files, _toml
 from .errors import CostateWarning, InputError, Interrupted
 
-_NUMERICS = {
+if TYPE_CHECKING:
+    import numpy as np
+    import xarray as xr
+
+_NUMERICS: dict[str, Any] = {
     "backend": "auto",
     "adapter": None,
     "precision": None,
@@ -50,6 +55,12 @@ def _progress(wanted):
         bar.set_description_str(step or "", refresh=True)
 
     return show, bar.close
+
+
+def _identifier(name: str) -> str:
+    if not (name.isascii() and name.isidentifier()):
+        raise InputError(f"name = {name!r}: an identifier of C")
+    return name
 
 
 def _assignments(values: Mapping) -> list[tuple[str, str]]:
@@ -302,7 +313,7 @@ class Problem:
 
         return self._do(compute, numerics, out, group)
 
-    def run(self, *, out=None, keep="all", grid_guesses=False, **numerics):
+    def run(self, *, out=None, keep="all", grid_guesses=False, **numerics) -> xr.DataTree:
         """All that the scene asks for, as ``costate run``: an ``xarray.DataTree`` with the result
         file's groups.
 
@@ -318,14 +329,14 @@ class Problem:
         options = {"kept": keep, "grid_guesses": grid_guesses}
         return self._run("run", None, options, numerics, out, None)
 
-    def sweep(self, *, out=None, keep="all", **numerics):
+    def sweep(self, *, out=None, keep="all", **numerics) -> xr.Dataset:
         """Trajectories outward from the equilibrium (or the terminal cost): the result file's
         ``/trajectories`` as an ``xarray.Dataset`` with t, x, p, u, V, H over (trajectory, sample) and
         their components."""
         options = {"kept": keep}
         return self._run("sweep", None, options, numerics, out, "trajectories")
 
-    def homotopy(self, *, out=None, grid_guesses=False, **numerics):
+    def homotopy(self, *, out=None, grid_guesses=False, **numerics) -> xr.DataTree:
         """V, p and u at the states that ``[homotopy]`` and ``[map]`` of the scene ask for: a DataTree
         with ``points``, ``points_sheets`` and ``map``."""
         options = {"grid_guesses": grid_guesses}
@@ -342,7 +353,7 @@ class Problem:
         samples=200,
         grid_guesses=False,
         **states_and_numerics,
-    ):
+    ) -> xr.Dataset:
         """V, p and u at chosen states.
 
         >>> p.solve(theta=np.linspace(-5, 3, 171), omega=0.0)
@@ -387,7 +398,7 @@ class Problem:
             raise
         return made if trajectories or made is None else places.shaped(made)
 
-    def map(self, error=None, *, value_max=None, counts=None, out=None, **numerics):
+    def map(self, error=None, *, value_max=None, counts=None, out=None, **numerics) -> xr.Dataset:
         """V over the whole region.
 
         Parameters
@@ -421,7 +432,7 @@ class Problem:
             return Value(file).grid(counts=counts)
         return _files.dataset(file, "map")
 
-    def study(self, *, out=None, **numerics):
+    def study(self, *, out=None, **numerics) -> xr.Dataset:
         """The scene's ``[study]``: ``/study`` as a Dataset, one row a variant."""
 
         def compute(path, how):
@@ -429,7 +440,7 @@ class Problem:
 
         return self._do(compute, numerics, out, "study")
 
-    def attenuation(self, *, out=None, **numerics):
+    def attenuation(self, *, out=None, **numerics) -> xr.DataTree:
         """The smallest levels of attenuation of the scene's ``[attenuation]``, as a DataTree."""
 
         def compute(path, how):
@@ -449,7 +460,7 @@ class Problem:
         cycle=None,
         out=None,
         **states_and_numerics,
-    ):
+    ) -> xr.DataTree:
         """Flights forward in time, with the scene's events.
 
         Parameters
@@ -523,7 +534,9 @@ class Problem:
         name = getattr(law, "__qualname__", type(law).__name__)
         return _functions.tree(self, system, done, time, name, rtol)
 
-    def evaluate(self, result=None, *, laws=None, added=(), random=None, solve=False, out=None, **numerics):
+    def evaluate(
+        self, result=None, *, laws=None, added=(), random=None, solve=False, out=None, **numerics
+    ) -> xr.DataTree:
         """Laws side by side from many initial states, as ``[closed_loop]`` and ``[dissipation]`` ask.
 
         Parameters
@@ -553,11 +566,23 @@ class Problem:
 
         return self._do(compute, numerics, out)
 
+    def local_to_c(self, path=None, *, degree=3, name="local") -> str:
+        """The series of V and u about the equilibrium, u of a degree, as a header of C; also written to
+        a file."""
+        if degree not in range(1, 7):
+            raise InputError(f"degree = {degree}: a whole number from 1 to 6")
+        text = self._scene.local_to_c(_identifier(name), int(degree))
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
     def value(self, result) -> Value:
         """V, p and u at any state, interpolated from a result (a file, Dataset or DataTree)."""
         return Value(_files.file_of(result))
 
-    def fit(self, result, *, names=None, starts=None, seed=None, directory=None, **numerics):
+    def fit(
+        self, result, *, names=None, starts=None, seed=None, directory=None, **numerics
+    ) -> Law | dict[str, Law]:
         """Fits the laws of the scene's ``[feedback]`` to what a result holds.
 
         Parameters
@@ -629,15 +654,15 @@ class Check:
         return None if given is None else np.array(given, dtype=float)
 
     @property
-    def P(self):
+    def P(self) -> np.ndarray | None:
         return self._array("riccati")
 
     @property
-    def K(self):
+    def K(self) -> np.ndarray | None:
         return self._array("gain")
 
     @property
-    def eigenvalues(self):
+    def eigenvalues(self) -> np.ndarray | None:
         pairs = self._array("closed_loop_eigenvalues")
         return None if pairs is None else pairs[:, 0] + 1j * pairs[:, 1]
 
@@ -819,15 +844,15 @@ class Value:
         values = found[which]
         return values.reshape(shape + (-1,) if which in "pu" else shape)[()]
 
-    def __call__(self, x=None, /, *, t=None, **states):
+    def __call__(self, x=None, /, *, t=None, **states) -> np.ndarray:
         """V."""
         return self._ask("V", x, t, states)
 
-    def p(self, x=None, /, *, t=None, **states):
+    def p(self, x=None, /, *, t=None, **states) -> np.ndarray:
         """dV/dx, one component a state."""
         return self._ask("p", x, t, states)
 
-    def u(self, x=None, /, *, t=None, **states):
+    def u(self, x=None, /, *, t=None, **states) -> np.ndarray:
         """The optimal controls."""
         return self._ask("u", x, t, states)
 
@@ -840,12 +865,12 @@ class Value:
         ).ravel()
         return self._map.at(rows, times, True), shape
 
-    def error(self, x=None, /, *, t=None, **states):
+    def error(self, x=None, /, *, t=None, **states) -> np.ndarray:
         """Estimated error of V."""
         found, shape = self._all(x, t, states)
         return found["V_error"].reshape(shape)[()]
 
-    def status(self, x=None, /, *, t=None, **states):
+    def status(self, x=None, /, *, t=None, **states) -> np.ndarray:
         """What is known: "interpolated", or why nothing is."""
         import numpy as np
 
@@ -853,7 +878,7 @@ class Value:
         words = dict(self._map.statuses())
         return np.array([words[c] for c in found["status"].tolist()], object).reshape(shape)[()]
 
-    def at(self, points=None, /, *, t=None, **states):
+    def at(self, points=None, /, *, t=None, **states) -> xr.Dataset:
         """V, p, u, their errors, the sheet and the status at states given as for
         :meth:`Problem.solve`, as a Dataset."""
         import numpy as np
@@ -865,7 +890,7 @@ class Value:
             file = target.file()
         return places.shaped(_files.dataset(file, "points"))
 
-    def grid(self, *, counts=None, t=None, out=None, **axes):
+    def grid(self, *, counts=None, t=None, out=None, **axes) -> xr.Dataset:
         """The same on a grid, as the Dataset ``/map``.
 
         Parameters
@@ -898,6 +923,14 @@ class Value:
         # What was asked knows more than what it has answered.
         return _files._held(made, self._file if out is None else file)
 
+    def to_c(self, path=None, *, name="map") -> str:
+        """V and u of a map in pieces as a header of C without dependencies; also written to a file.
+        What it defines begins with ``name``."""
+        text = self._map.to_c(_identifier(name))
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
     def __repr__(self):
         return f"<pycostate.Value of {self.problem.title!r}, {self._file.path}>"
 
@@ -921,7 +954,7 @@ class Law:
         """What it gives: names of controls (or of commanded states)."""
         return tuple(self._law.outputs)
 
-    def __call__(self, x=None, /, **states):
+    def __call__(self, x=None, /, **states) -> np.ndarray:
         rows, shape = Value._states(self, x, states)
         return self._law.eval(rows).reshape(shape + (-1,))
 
@@ -966,7 +999,7 @@ def load_law(path, problem: Problem) -> Law:
     return Law(_engine.Law.parse(path.stem, text, str(path), problem._scene), problem)
 
 
-def open(path):
+def open(path) -> xr.DataTree:
     """A result file as an ``xarray.DataTree``: its groups, by the names of the file."""
     if not Path(path).exists():
         raise FileNotFoundError(f"{path} is not there")
