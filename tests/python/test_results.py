@@ -189,6 +189,7 @@ def test_two_threads_solve_at_once(double_integrator):
     np.testing.assert_array_equal(found[0], found[1])
 
 
+@pytest.mark.filterwarnings("ignore::pycostate.CostateWarning")
 def test_progress_is_told(double_integrator):
     steps = []
     double_integrator.solve(x=np.linspace(-0.8, 0.8, 400), v=[0.1, 0.2], progress=steps.append)

@@ -9,7 +9,11 @@
 from __future__ import annotations
 
 from . import errors
-from ._problem import Check, Law, Problem, Value, load_law, open, report
+from ._check import Check
+from ._law import Law, load_law
+from ._problem import Problem
+from ._reports import Report, open, report
+from ._value import Value
 from .errors import (
     CostateError,
     CostateWarning,
@@ -28,6 +32,7 @@ __all__ = [
     "Law",
     "OutOfTime",
     "Problem",
+    "Report",
     "SceneError",
     "Value",
     "errors",

@@ -12,6 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import _engine, _files, _toml
+from ._check import Check
+from ._law import Law
+from ._places import Places, identifier
+from ._value import Value
 from .errors import CostateWarning, InputError, Interrupted
 
 if TYPE_CHECKING:
@@ -55,12 +59,6 @@ def _progress(wanted):
         bar.set_description_str(step or "", refresh=True)
 
     return show, bar.close
-
-
-def _identifier(name: str) -> str:
-    if not (name.isascii() and name.isidentifier()):
-        raise InputError(f"name = {name!r}: an identifier of C")
-    return name
 
 
 def _assignments(values: Mapping) -> list[tuple[str, str]]:
@@ -383,7 +381,7 @@ class Problem:
             and a status that says why.
         """
         named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
-        places = _Places(self, points, named)
+        places = Places(self, points, named)
         options = {
             "one_sheet": one_sheet,
             "samples": int(samples) if trajectories else None,
@@ -418,7 +416,8 @@ class Problem:
             The result file's ``/map``: V, p, u over the states' axes, with errors where the map is in
             pieces.
         """
-        problem, changes = self, {"homotopy": None, "feedback": None, "closed_loop": None}
+        problem = self
+        changes: dict[str, Any] = {"homotopy": None, "feedback": None, "closed_loop": None}
         if error is not None or value_max is not None:
             own = {"error": error, "value_max": value_max}
             changes["map"] = {k: float(v) for k, v in own.items() if v is not None}
@@ -429,7 +428,7 @@ class Problem:
         tree = problem._run("homotopy", None, {}, numerics, out, None)
         file = _files.file_of(tree)
         if _files.has(file, "map_pieces"):
-            return Value(file).grid(counts=counts)
+            return Value(file, self.of(file)).grid(counts=counts)
         return _files.dataset(file, "map")
 
     def study(self, *, out=None, **numerics) -> xr.Dataset:
@@ -491,7 +490,7 @@ class Problem:
         if callable(law) and not isinstance(law, Law):
             return self._fly(law, x0, time, samples, events or cycle or out, states_and_numerics)
         named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
-        x = _Places(self, x0, named).x if x0 is not None or named else None
+        x = Places(self, x0, named).x if x0 is not None or named else None
         options = {"time": time, "events": events, "samples": samples, "cycle": cycle}
         if isinstance(law, Law):
             options["weights"] = (law.name, law.to_toml())
@@ -512,7 +511,7 @@ class Problem:
         how = {**self._numerics, **self._known(states_and_numerics)}
         system = _engine.System(self._scene)
         given = _toml.loads(self.text).get("simulation", {})
-        x = _Places(self, x0, named).x
+        x = Places(self, x0, named).x
         for value in (time, given.get("time"), self._scene.time[1]):
             if value is not None:
                 time = value
@@ -571,14 +570,15 @@ class Problem:
         a file."""
         if degree not in range(1, 7):
             raise InputError(f"degree = {degree}: a whole number from 1 to 6")
-        text = self._scene.local_to_c(_identifier(name), int(degree))
+        text = self._scene.local_to_c(identifier(name), int(degree))
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
     def value(self, result) -> Value:
         """V, p and u at any state, interpolated from a result (a file, Dataset or DataTree)."""
-        return Value(_files.file_of(result))
+        file = _files.file_of(result)
+        return Value(file, self.of(file))
 
     def fit(
         self, result, *, names=None, starts=None, seed=None, directory=None, **numerics
@@ -625,437 +625,3 @@ class Problem:
                 f"no time was left for {', '.join(left_out)}", CostateWarning, stacklevel=2
             )
         return next(iter(made.values())) if len(made) == 1 and not left_out else made
-
-
-class Check:
-    """What follows from a problem.
-
-    Attributes
-    ----------
-    summary : dict
-        What ``costate check --json`` prints.
-    P, K : numpy.ndarray
-        V = s'Ps/2 and u = u_e - K s about the equilibrium, (states, states) and (controls, states);
-        None on a finite horizon.
-    eigenvalues : numpy.ndarray
-        Of the closed loop at the equilibrium, complex.
-    hamiltonian : str
-    optimal_control, state_equations, adjoint_equations : dict of str
-    """
-
-    def __init__(self, text, summary):
-        self.text = text
-        self.summary = summary
-
-    def _array(self, name):
-        import numpy as np
-
-        given = self.summary[name]
-        return None if given is None else np.array(given, dtype=float)
-
-    @property
-    def P(self) -> np.ndarray | None:
-        return self._array("riccati")
-
-    @property
-    def K(self) -> np.ndarray | None:
-        return self._array("gain")
-
-    @property
-    def eigenvalues(self) -> np.ndarray | None:
-        pairs = self._array("closed_loop_eigenvalues")
-        return None if pairs is None else pairs[:, 0] + 1j * pairs[:, 1]
-
-    @property
-    def hamiltonian(self) -> str:
-        return self.summary["hamiltonian"]
-
-    @property
-    def optimal_control(self) -> dict:
-        return dict(zip(self.summary["controls"], self.summary["optimal_control"]))
-
-    @property
-    def state_equations(self) -> dict:
-        return dict(zip(self.summary["states"], self.summary["state_equations"]))
-
-    @property
-    def adjoint_equations(self) -> dict:
-        return dict(zip(self.summary["states"], self.summary["adjoint_equations"]))
-
-    def __repr__(self):
-        return self.text.rstrip()
-
-    def _repr_html_(self):
-        from html import escape
-
-        return f"<pre>{escape(self.text)}</pre>"
-
-
-class _Places:
-    """States that were given in one of many ways, and the dimensions of what is found there."""
-
-    def __init__(self, problem, points, named):
-        import numpy as np
-        import xarray as xr
-
-        if points is not None and named:
-            raise InputError("states are given as points or by name, not both")
-        names = problem.states
-        self._one = points is None and not named
-        if hasattr(points, "to_xarray") and not isinstance(points, (xr.Dataset, xr.DataArray)):
-            named = {c: ("point", np.asarray(points[c])) for c in points.columns}
-        elif isinstance(points, xr.Dataset):
-            named = {n: points[n] for n in names if n in points.variables}
-        elif isinstance(points, xr.DataArray) and "state" in points.dims:
-            named = {n: points.sel(state=n) for n in names} if "state" in points.coords else {
-                n: points.isel(state=k) for k, n in enumerate(names)
-            }
-            named = {n: v.drop_vars("state", errors="ignore") for n, v in named.items()}
-        elif points is not None:
-            rows = np.asarray(points)
-            if rows.dtype == object or not np.can_cast(rows.dtype, float, "same_kind"):
-                raise InputError(f"points of {rows.dtype} are no states")
-            rows = rows.astype(float)
-            if rows.ndim == 1:
-                rows = rows[None, :]
-            if rows.ndim != 2 or rows.shape[1] != len(names):
-                raise InputError(
-                    f"points have the shape {np.shape(points)}; needed is (N, {len(names)}): {', '.join(names)}"
-                )
-            named = {n: ("point", rows[:, k]) for k, n in enumerate(names)}
-        unknown = [n for n in named if n not in names]
-        if unknown:
-            raise InputError(f"{unknown[0]} is no state of the scene ({', '.join(names)})")
-
-        arrays = {}
-        for name in names:
-            given = named.get(name, problem.reference[name])
-            if isinstance(given, tuple):
-                given = xr.DataArray(np.asarray(given[1], dtype=float), dims=given[0])
-            elif not isinstance(given, xr.DataArray):
-                values = np.asarray(given)
-                if not np.can_cast(values.dtype, float, "same_kind"):
-                    raise InputError(f"{name} of {values.dtype} is no number")
-                values = values.astype(float)
-                if values.ndim > 1:
-                    raise InputError(
-                        f"{name} has {values.ndim} dimensions: give a DataArray that names them"
-                    )
-                given = xr.DataArray(values, dims=(name,) * values.ndim)
-                if values.ndim:
-                    given = given.assign_coords({name: values})
-            arrays[name] = given
-        broadcast = xr.broadcast(*arrays.values())
-        self.names = names
-        self.arrays = dict(zip(names, broadcast))
-        self._given = arrays
-        self.dims = broadcast[0].dims
-        self.shape = broadcast[0].shape
-        self.coords = broadcast[0].coords
-        columns = [np.asarray(b.transpose(*self.dims), dtype=float).ravel() for b in broadcast]
-        self.x = np.ascontiguousarray(np.stack(columns, axis=-1))
-        wrong = np.argwhere(~np.isfinite(self.x))
-        if len(wrong):
-            row, column = wrong[0]
-            raise InputError(
-                f"state {row} (from 0): {names[column]} = {self.x[row, column]} is no finite number"
-            )
-
-    def shaped(self, found):
-        """What was found at `point`s over the dimensions that were given."""
-        import xarray as xr
-
-        if self.dims == ("point",):
-            # As it is, with what else was known of the points.
-            return _files._held(found.assign_coords(dict(self.coords)), _files.file_of(found))
-        variables, coords = {}, {}
-        for name, variable in found.variables.items():
-            if name == "point":
-                continue
-            if variable.dims[:1] == ("point",):
-                values = variable.values.reshape(self.shape + variable.shape[1:])
-                variable = xr.Variable(self.dims + variable.dims[1:], values, variable.attrs)
-            (coords if name in found.coords else variables)[name] = variable
-        made = xr.Dataset(variables, coords, found.attrs)
-        units = dict(zip(self.names, found.coords["state_units"].values)) if "state_units" in found.coords else {}
-        for name in self.names:
-            given = self._given[name]
-            if given.ndim <= 1:
-                made = made.assign_coords({name: given.variable})
-            else:
-                made = made.assign_coords({name: (given.dims, given.values)})
-            if name in units:
-                made[name].attrs["units"] = units[name]
-        extra = {k: v for k, v in self.coords.items() if k not in made.coords}
-        return _files._held(made.assign_coords(extra), _files.file_of(found))
-
-
-class Value:
-    """V at any state, and p = dV/dx, u, the error.
-
-    Calls take states as an array (..., states), or by name; on a finite horizon also a time ``t``
-    (default 0). They return an array of the shape (...), with p and u (..., states) and (...,
-    controls); NaN where nothing is known.
-
-    >>> v = p.value(p.map(error=1e-3))
-    >>> v([0.5, 0.0]), v.p([0.5, 0.0]), v.u([0.5, 0.0])
-    >>> v(theta=np.linspace(-1, 1, 11), omega=0.0)      # the usual broadcasting
-    """
-
-    def __init__(self, result):
-        self._file = _files.file_of(result)
-        self._map = _engine.Value(self._file.path)
-        self.problem = Problem.of(self._file)
-
-    def _states(self, x, named):
-        import numpy as np
-
-        names = self.problem.states
-        if x is None:
-            unknown = [n for n in named if n not in names]
-            if unknown:
-                raise InputError(f"{unknown[0]} is no state of the scene ({', '.join(names)})")
-            reference = self.problem.reference
-            columns = [np.asarray(named.get(n, reference[n]), dtype=float) for n in names]
-            x = np.stack(np.broadcast_arrays(*columns), axis=-1)
-        elif named:
-            raise InputError("states are given as an array or by name, not both")
-        x = np.asarray(x)
-        if not np.can_cast(x.dtype, float, "same_kind"):
-            raise InputError(f"states of {x.dtype} are no numbers")
-        if x.ndim == 0 and len(names) == 1:
-            x = x[None]
-        if x.ndim == 0 or x.shape[-1] != len(names):
-            raise InputError(
-                f"states have the shape {x.shape}; needed is (..., {len(names)}): {', '.join(names)}"
-            )
-        rows = np.ascontiguousarray(x.reshape(-1, len(names)), dtype=float)
-        return rows, x.shape[:-1]
-
-    def _ask(self, which, x, t, named):
-        import numpy as np
-
-        rows, shape = self._states(x, named)
-        if t is None or (np.ndim(t) == 0 and t == 0):
-            found = self._map.many(rows)
-        else:
-            times = np.ascontiguousarray(np.broadcast_to(np.asarray(t, float), shape)).ravel()
-            found = self._map.at(rows, times, False)
-        values = found[which]
-        return values.reshape(shape + (-1,) if which in "pu" else shape)[()]
-
-    def __call__(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """V."""
-        return self._ask("V", x, t, states)
-
-    def p(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """dV/dx, one component a state."""
-        return self._ask("p", x, t, states)
-
-    def u(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """The optimal controls."""
-        return self._ask("u", x, t, states)
-
-    def _all(self, x, t, named):
-        import numpy as np
-
-        rows, shape = self._states(x, named)
-        times = np.ascontiguousarray(
-            np.broadcast_to(np.asarray(0.0 if t is None else t, float), shape)
-        ).ravel()
-        return self._map.at(rows, times, True), shape
-
-    def error(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """Estimated error of V."""
-        found, shape = self._all(x, t, states)
-        return found["V_error"].reshape(shape)[()]
-
-    def status(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """What is known: "interpolated", or why nothing is."""
-        import numpy as np
-
-        found, shape = self._all(x, t, states)
-        words = dict(self._map.statuses())
-        return np.array([words[c] for c in found["status"].tolist()], object).reshape(shape)[()]
-
-    def at(self, points=None, /, *, t=None, **states) -> xr.Dataset:
-        """V, p, u, their errors, the sheet and the status at states given as for
-        :meth:`Problem.solve`, as a Dataset."""
-        import numpy as np
-
-        places = _Places(self.problem, points, states)
-        times = np.full(len(places.x), 0.0 if t is None else float(t))
-        with _files.Target(None) as target:
-            self._map.write(target.path, places.x, times)
-            file = target.file()
-        return places.shaped(_files.dataset(file, "points"))
-
-    def grid(self, *, counts=None, t=None, out=None, **axes) -> xr.Dataset:
-        """The same on a grid, as the Dataset ``/map``.
-
-        Parameters
-        ----------
-        counts : int or dict of int
-            Points of each axis over the region; an axis may also be given itself, by name.
-        """
-        import numpy as np
-
-        names = self.problem.states
-        default = {1: 401, 2: 101, 3: 41, 4: 15}.get(len(names), 5)
-        lines = []
-        for name in names:
-            count = counts.get(name, default) if isinstance(counts, Mapping) else counts or default
-            given = axes.pop(name, None)
-            line = np.linspace(*self.problem.region[name], int(count)) if given is None else given
-            lines.append(np.atleast_1d(np.asarray(line, dtype=float)))
-        if axes:
-            raise InputError(f"{next(iter(axes))} is no state of the scene ({', '.join(names)})")
-        all_lines = list(lines)
-        if self._map.has_time:
-            all_lines.append(np.atleast_1d(np.asarray(0.0 if t is None else t, dtype=float)))
-        mesh = np.stack(np.meshgrid(*all_lines, indexing="ij"), axis=-1).reshape(-1, len(all_lines))
-        x = np.ascontiguousarray(mesh[:, : len(names)])
-        times = np.ascontiguousarray(mesh[:, -1]) if self._map.has_time else np.zeros(len(x))
-        with _files.Target(out) as target:
-            self._map.write(target.path, x, times, [line.tolist() for line in all_lines])
-            file = target.file()
-        made = _files.dataset(file, "map")
-        # What was asked knows more than what it has answered.
-        return _files._held(made, self._file if out is None else file)
-
-    def to_c(self, path=None, *, name="map") -> str:
-        """V and u of a map in pieces as a header of C without dependencies; also written to a file.
-        What it defines begins with ``name``."""
-        text = self._map.to_c(_identifier(name))
-        if path is not None:
-            Path(path).write_text(text, encoding="utf-8")
-        return text
-
-    def __repr__(self):
-        return f"<pycostate.Value of {self.problem.title!r}, {self._file.path}>"
-
-
-class Law:
-    """A feedback law u(x).
-
-    Calls take states as an array (..., states), or by name, and return an array (..., controls).
-    """
-
-    def __init__(self, law, problem):
-        self._law = law
-        self.problem = problem
-
-    @property
-    def name(self) -> str:
-        return self._law.name
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """What it gives: names of controls (or of commanded states)."""
-        return tuple(self._law.outputs)
-
-    def __call__(self, x=None, /, **states) -> np.ndarray:
-        rows, shape = Value._states(self, x, states)
-        return self._law.eval(rows).reshape(shape + (-1,))
-
-    def to_toml(self) -> str:
-        """The weights file's text."""
-        return self._law.to_toml()
-
-    def to_c(self, path=None) -> str:
-        """A header of C without dependencies; also written to a file."""
-        text = self._law.to_c()
-        if path is not None:
-            Path(path).write_text(text, encoding="utf-8")
-        return text
-
-    def to_onnx(self, path=None) -> bytes:
-        """An ONNX model; also written to a file."""
-        model = bytes(self._law.to_onnx())
-        if path is not None:
-            Path(path).write_bytes(model)
-        return model
-
-    def save(self, path) -> None:
-        """Writes a file by its ending: ``.toml`` (weights), ``.h`` or ``.onnx``."""
-        ending = Path(path).suffix.lower()
-        if ending == ".onnx":
-            self.to_onnx(path)
-        elif ending == ".h":
-            self.to_c(path)
-        elif ending == ".toml":
-            Path(path).write_text(self.to_toml(), encoding="utf-8")
-        else:
-            raise InputError(f"{path}: name a file .toml (weights), .h (C) or .onnx")
-
-    def __repr__(self):
-        return f"<pycostate.Law {self.name!r} of {self.problem.title!r}: {', '.join(self.outputs)}>"
-
-
-def load_law(path, problem: Problem) -> Law:
-    """The law of a weights file."""
-    path = Path(path)
-    text = path.read_text(encoding="utf-8")
-    return Law(_engine.Law.parse(path.stem, text, str(path), problem._scene), problem)
-
-
-def open(path) -> xr.DataTree:
-    """A result file as an ``xarray.DataTree``: its groups, by the names of the file."""
-    if not Path(path).exists():
-        raise FileNotFoundError(f"{path} is not there")
-    # What is no result file is told with its reason.
-    _engine.scene_of_file(os.fspath(path))
-    return _files.tree(_files.ResultFile(path))
-
-
-class Report:
-    """A page with pictures; a notebook shows it."""
-
-    def __init__(self, page, pictures, missing):
-        self.page = Path(page)
-        self.pictures = list(pictures)
-        self.missing = dict(missing)
-
-    @property
-    def html(self) -> str:
-        return self.page.read_text(encoding="utf-8")
-
-    def _repr_html_(self):
-        from html import escape
-
-        return f'<iframe srcdoc="{escape(self.html, quote=True)}" width="100%" height="800" style="border:0"></iframe>'
-
-    def __repr__(self):
-        return f"<pycostate.Report {self.page}: {', '.join(self.pictures)}>"
-
-
-def report(result, page=None, *, axes=None, slice=None, levels=(), width=None) -> Report:
-    """The report of a result: a page of HTML, and its pictures beside it.
-
-    Parameters
-    ----------
-    result : path, Dataset or DataTree
-    page : path
-        Where it goes; default: beside the result file.
-    axes : pair of str
-        The states of the plane that is shown.
-    slice : dict of float
-        Where the plane lies.
-    levels : list of float
-        Contours of V.
-    width : int
-        Of the pictures, in pixels.
-    """
-    file = _files.file_of(result)
-    page = file.path.with_name(file.path.stem + "_report.html") if page is None else Path(page)
-    made = _engine.report(
-        file.path,
-        page,
-        axes=None if axes is None else list(axes),
-        slice=[(k, float(v)) for k, v in (slice or {}).items()],
-        levels=[float(v) for v in levels],
-        width=width,
-    )
-    done = Report(*made)
-    done._file = file
-    return done

@@ -1,0 +1,79 @@
+"""Feedback laws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from . import _engine
+from ._places import states_of
+from .errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ._problem import Problem
+
+
+class Law:
+    """A feedback law u(x).
+
+    Calls take states as an array (..., states), or by name, and return an array (..., controls).
+    """
+
+    def __init__(self, law, problem):
+        self._law = law
+        self.problem = problem
+
+    @property
+    def name(self) -> str:
+        return self._law.name
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """What it gives: names of controls (or of commanded states)."""
+        return tuple(self._law.outputs)
+
+    def __call__(self, x=None, /, **states) -> np.ndarray:
+        rows, shape = states_of(self.problem, x, states)
+        return self._law.eval(rows).reshape(shape + (-1,))
+
+    def to_toml(self) -> str:
+        """The weights file's text."""
+        return self._law.to_toml()
+
+    def to_c(self, path=None) -> str:
+        """A header of C without dependencies; also written to a file."""
+        text = self._law.to_c()
+        if path is not None:
+            Path(path).write_text(text, encoding="utf-8")
+        return text
+
+    def to_onnx(self, path=None) -> bytes:
+        """An ONNX model; also written to a file."""
+        model = bytes(self._law.to_onnx())
+        if path is not None:
+            Path(path).write_bytes(model)
+        return model
+
+    def save(self, path) -> None:
+        """Writes a file by its ending: ``.toml`` (weights), ``.h`` or ``.onnx``."""
+        ending = Path(path).suffix.lower()
+        if ending == ".onnx":
+            self.to_onnx(path)
+        elif ending == ".h":
+            self.to_c(path)
+        elif ending == ".toml":
+            Path(path).write_text(self.to_toml(), encoding="utf-8")
+        else:
+            raise InputError(f"{path}: name a file .toml (weights), .h (C) or .onnx")
+
+    def __repr__(self):
+        return f"<pycostate.Law {self.name!r} of {self.problem.title!r}: {', '.join(self.outputs)}>"
+
+
+def load_law(path, problem: Problem) -> Law:
+    """The law of a weights file."""
+    path = Path(path)
+    text = path.read_text(encoding="utf-8")
+    return Law(_engine.Law.parse(path.stem, text, str(path), problem._scene), problem)

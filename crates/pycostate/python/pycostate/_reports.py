@@ -1,0 +1,76 @@
+"""Result files, and their reports."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from . import _engine, _files
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+def open(path) -> xr.DataTree:
+    """A result file as an ``xarray.DataTree``: its groups, by the names of the file."""
+    if not Path(path).exists():
+        raise FileNotFoundError(f"{path} is not there")
+    # What is no result file is told with its reason.
+    _engine.scene_of_file(os.fspath(path))
+    return _files.tree(_files.ResultFile(path))
+
+
+class Report:
+    """A page with pictures; a notebook shows it."""
+
+    def __init__(self, page, pictures, missing):
+        self.page = Path(page)
+        self.pictures = list(pictures)
+        self.missing = dict(missing)
+        #: What it was made of, which it keeps.
+        self.file: _files.ResultFile | None = None
+
+    @property
+    def html(self) -> str:
+        return self.page.read_text(encoding="utf-8")
+
+    def _repr_html_(self):
+        from html import escape
+
+        return f'<iframe srcdoc="{escape(self.html, quote=True)}" width="100%" height="800" style="border:0"></iframe>'
+
+    def __repr__(self):
+        return f"<pycostate.Report {self.page}: {', '.join(self.pictures)}>"
+
+
+def report(result, page=None, *, axes=None, slice=None, levels=(), width=None) -> Report:
+    """The report of a result: a page of HTML, and its pictures beside it.
+
+    Parameters
+    ----------
+    result : path, Dataset or DataTree
+    page : path
+        Where it goes; default: beside the result file.
+    axes : pair of str
+        The states of the plane that is shown.
+    slice : dict of float
+        Where the plane lies.
+    levels : list of float
+        Contours of V.
+    width : int
+        Of the pictures, in pixels.
+    """
+    file = _files.file_of(result)
+    page = file.path.with_name(file.path.stem + "_report.html") if page is None else Path(page)
+    made = _engine.report(
+        file.path,
+        page,
+        axes=None if axes is None else list(axes),
+        slice=[(k, float(v)) for k, v in (slice or {}).items()],
+        levels=[float(v) for v in levels],
+        width=width,
+    )
+    done = Report(*made)
+    done.file = file
+    return done
