@@ -14,6 +14,9 @@ const CLOSED: f64 = 1e-11;
 const TOLERANCES: f64 = 10.0;
 /// Multipliers nearer to 1 than this, or than so many tolerances, are those of a family of orbits.
 const NEUTRAL: f64 = 1e-7;
+/// What is back to rounding: in widths of the region, and as a share of an orbit's extent.
+const ROUNDED: f64 = 1e-12;
+const RETURNS: f64 = 1e-10;
 /// Sweeps over a matrix until its singular values or eigenvalues are there.
 const SWEEPS: usize = 10_000;
 /// An orbit is longer than so many of what counts as being back.
@@ -171,7 +174,8 @@ impl Orbits {
             let flown = self.simulator.fly(x.as_slice(), &options)?;
             // At rest everything is back.
             let rates = DVector::from_vec(self.linear.rates.eval(x.as_slice()));
-            let moves = widths(&rates) * flown.t[0] > LENGTH * LENGTH * closed;
+            let extent = widths(&rates) * flown.t[0];
+            let moves = extent > LENGTH * LENGTH * closed;
             if flown.end[0] != End::Events {
                 let state = x.as_slice().to_vec();
                 return Ok(Err(match (moves, flown.end[0]) {
@@ -210,7 +214,12 @@ impl Orbits {
             // One more step is worth more than the tolerance.
             let is_found = is_small && is_near;
             is_near = is_small;
-            let is_back = residual <= LENGTH * closed && (is_found || is_family && is_small);
+            // A part of what it goes through; what is back to rounding is back, however ill-conditioned
+            // the map is.
+            let is_exact = residual <= ROUNDED && residual <= RETURNS * extent;
+            let is_back = residual <= LENGTH * closed
+                && residual <= LENGTH * RETURNS * extent
+                && (is_exact || is_found || is_family && is_small);
             if is_back && !moves {
                 let state = back.as_slice().to_vec();
                 return Ok(Err(CycleError::AtRest { state }));

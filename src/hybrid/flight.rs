@@ -560,7 +560,7 @@ impl Simulator {
             });
             flight.known[other] = Some(armed);
             let now = here.ahead.abs() <= rounding && here.slope < 0.0;
-            if !(armed && now && self.counts(&all, other)) || self.at_once[other] {
+            if !(armed && now) || self.at_once[other] {
                 continue;
             }
             // One that ends the flight does so when those before it in the scene have happened, unless
@@ -568,9 +568,12 @@ impl Simulator {
             let then = self.condition(&there, other);
             let waits = due && then.is_on_surface(grain) && !then.leaves(grain);
             match self.maps[other].is_none() {
-                true if !waits => ends = ends.or(Some(End::At(other))),
+                true if !waits && self.counts(&all, other) => {
+                    ends = ends.or(Some(End::At(other)));
+                }
                 true => {}
-                false => due = true,
+                // What has happened by then decides.
+                false => due |= self.counts(&there, other),
             }
         }
         flight.begin.clone_from(&after);

@@ -17,7 +17,7 @@ use crate::sweep::{Choices, Numerics};
 use rustc_hash::FxHashMap;
 
 /// Nearer to a surface than this, relative to the condition, a flight begins on it: rounding.
-const BEGINS: f64 = 2e-14;
+const BEGINS: f64 = 1e-15;
 /// Tolerance of flights that an orbit is looked for with, at most.
 const ORBIT_RTOL: f64 = 1e-11;
 

@@ -1025,6 +1025,17 @@ fn events_after_sensitive_motion_are_located() {
     }
     // Once in three time units, about.
     assert!((80..300).contains(&met), "{met}");
+    // Where they part altogether: still on the surface, and within the time.
+    for x in [1.0, 2.5] {
+        let done = at_tolerance(&lorenz, 1e-3, &[x, 2.0, 20.0], 150.0);
+        assert!(done.flights.t[0] <= 150.0);
+        let jumps = &done.flights.jumps;
+        assert!(
+            jumps
+                .iter()
+                .all(|j| (j.before[0] - 15.0).abs() < 1e-4 && j.t <= 150.0)
+        );
+    }
 }
 
 /// Those before it in the scene happen before the flight ends.
@@ -1045,4 +1056,11 @@ fn three_events_at_one_moment() {
         assert_eq!(done.flights.last[2], met, "{events}");
         assert_eq!(done.flights.last[1] < -4.0, fast, "{events}");
     }
+    // What an event asks for has come true at the same moment.
+    let first = "[events.a]\nwhen = \"x >= 1\"\nset = { n = 1 }\n";
+    let second = "[events.b]\nwhen = \"x >= 1\"\nwhere = \"n >= 1\"\nset = { n = \"n + 10\" }\n";
+    let end = "[events.stop]\nwhen = \"x >= 1\"\nends = true\n";
+    let events = [first, second, end].concat();
+    let done = simulated(&oscillator(["1", "0"], &events), &[0.0, 0.0, 0.0], 3.0);
+    assert_eq!((done.status(0), done.flights.last[2]), ("event_stop", 11.0));
 }

@@ -12,10 +12,12 @@ use std::collections::BTreeMap;
 /// phase.
 const CORRECTIONS: usize = 20;
 const LOCATED: f64 = 1e-13;
-/// Where rounding, or the tolerance of a step, keeps corrections from falling that far, the last must
-/// be below so many of these.
+/// Where the tolerance of a step keeps corrections from falling that far, the last must be below so many
+/// of these; and what is this many roundings of a condition from its surface lies on it.
 const ROUNDINGS: f64 = 64.0;
 const TOLERANCES: f64 = 10.0;
+/// Share of a condition's size from which short flights lead to its surface.
+const NEAR: f64 = 1e-3;
 /// So many corrections in a row that come no nearer show rounding.
 const STALE: usize = 3;
 /// Short flights from the nearest state to the surface, at most.
@@ -32,8 +34,16 @@ pub(super) enum Met {
     End,
 }
 
-/// A leg, an event, the points between which it may be met, and when.
-type Suspect = (usize, usize, Point, Point, f64);
+/// An event that may be met between two points of a leg.
+struct Suspect {
+    leg: usize,
+    event: usize,
+    between: (Point, Point),
+    /// When.
+    at: f64,
+    /// The stored point before it, and when: flights begin there.
+    from: (Vec<f64>, f64),
+}
 
 impl Here {
     /// What is no nearer to the surface of an event than this, after a phase so long, may be on it.
@@ -48,6 +58,8 @@ struct Early {
     /// Since the beginning of the leg, about; and the state there.
     t: f64,
     x: Vec<f64>,
+    /// The stored point before it.
+    from: (Vec<f64>, f64),
     /// Times before and after it.
     between: [f64; 2],
 }
@@ -314,12 +326,14 @@ impl Simulator {
                 break;
             }
             let seeds: Vec<f64> = (suspects.iter())
-                .flat_map(|(k, _, _, _, at)| flying[*k].x.iter().copied().chain([*at]))
+                .flat_map(|s| s.from.0.iter().copied().chain([s.at - s.from.1]))
                 .collect();
             let flown = self.plain.integrate(&run, &seeds)?;
             flights.count(&flown);
             let mut still = Vec::new();
-            for (j, (k, event, a, b, at)) in suspects.into_iter().enumerate() {
+            for (j, suspected) in suspects.into_iter().enumerate() {
+                let (k, event, at) = (suspected.leg, suspected.event, suspected.at);
+                let (a, b) = suspected.between;
                 if flown.status[j] != Status::Reached {
                     continue;
                 }
@@ -335,6 +349,7 @@ impl Simulator {
                             t,
                             between,
                             x,
+                            from: suspected.from,
                         });
                     }
                     continue;
@@ -343,12 +358,17 @@ impl Simulator {
                 let next = halves.into_iter().filter(|(a, b)| a.t < b.t);
                 still.extend(next.filter_map(|(a, b)| {
                     let at = suspect(a, b).filter(|at| *at > a.t && *at < b.t)?;
-                    Some((k, event, a, b, at))
+                    Some(Suspect {
+                        between: (a, b),
+                        at,
+                        from: suspected.from.clone(),
+                        ..suspected
+                    })
                 }));
             }
             suspects = still;
         }
-        self.states_there(flying, durations, &mut early, &run)?;
+        self.states_there(durations, &mut early, &run)?;
         Ok(early)
     }
 
@@ -363,6 +383,7 @@ impl Simulator {
     ) {
         let n = self.states;
         let (mut before, mut t, mut own) = (self.conditions.eval(begin), 0.0, 0);
+        let mut last = begin.to_vec();
         for level in 0..flown.levels {
             let sample = flown.sample(row, level);
             if !sample[0].is_finite() || own >= SUSPECTS {
@@ -374,18 +395,25 @@ impl Simulator {
                 let a = self.left(&before, event, *watch, t);
                 let b = self.left(&here, event, *watch, now);
                 if let Some(at) = suspect(a, b).filter(|_| a.left > 0.0) {
-                    found.push((k, event, a, b, at));
+                    found.push(Suspect {
+                        leg: k,
+                        event,
+                        between: (a, b),
+                        at,
+                        from: (last.clone(), t),
+                    });
                     own += 1;
                 }
             }
             (before, t) = (here, now);
+            last.clear();
+            last.extend_from_slice(&sample[1..=n]);
         }
     }
 
     /// States where something happened early; what a guard has seen before is not early.
     fn states_there(
         &mut self,
-        flying: &[&mut Flight],
         durations: &[f64],
         early: &mut [Option<Early>],
         run: &Run,
@@ -398,8 +426,8 @@ impl Simulator {
         }
         let found: Vec<usize> = (0..early.len()).filter(|k| early[*k].is_some()).collect();
         let seeds: Vec<f64> = (found.iter())
-            .filter_map(|k| Some((k, early[*k].as_ref()?)))
-            .flat_map(|(k, e)| flying[*k].x.iter().copied().chain([e.t]))
+            .filter_map(|k| early[*k].as_ref())
+            .flat_map(|e| e.from.0.iter().copied().chain([e.t - e.from.1]))
             .collect();
         if found.is_empty() {
             return Ok(());
@@ -505,7 +533,15 @@ impl Simulator {
     ) -> Result<(), BackendError> {
         let n = self.states;
         for sought in at.iter_mut() {
-            if (sought.best.as_ref()).is_some_and(|best| self.is_near(best, options)) {
+            let left = options.time - sought.flight.t;
+            let is_near = |best: &Near| {
+                let by = best.here.ahead / best.here.slope;
+                let share = LOCATED.max(TOLERANCES * options.rtol);
+                by.abs() <= share * best.flown
+                    && best.here.ahead.abs() <= NEAR * best.here.size
+                    && best.flown - by <= left
+            };
+            if sought.best.as_ref().is_some_and(is_near) {
                 continue;
             }
             let (x, flown) = sought.end.clone();
@@ -548,17 +584,6 @@ impl Simulator {
         Ok(())
     }
 
-    /// Whether a state is an event's, to the tolerance.
-    fn is_near(&self, state: &Near, options: &Options) -> bool {
-        let here = state.here;
-        let rounding = ROUNDINGS * self.precision.epsilon();
-        let (by, share) = (
-            here.ahead / here.slope,
-            rounding.max(TOLERANCES * options.rtol),
-        );
-        by.abs() <= share * state.flown || here.ahead.abs() <= rounding * here.size
-    }
-
     /// The nearest state that was found is the event's, if it is one.
     fn settle(&self, sought: &mut Sought<'_>, options: &Options) {
         let Some(best) = sought.best.take() else {
@@ -568,8 +593,8 @@ impl Simulator {
         if matches!(flight.end, Some(End::Failed(_))) {
             return;
         }
-        let near = self.is_near(&best, options);
         let Near { flown, x, here } = best;
+        let near = here.ahead.abs() <= here.rounding(self.precision, flown);
         let comes = here.slope <= 0.0;
         // What rounding makes of an event right after another one, or of bounces lower than that.
         let again = flight.after == Some(sought.event) && here.is_flat(self.grain(options));
