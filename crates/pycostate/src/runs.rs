@@ -375,6 +375,9 @@ pub fn fit(
     }
 }
 
+/// The page, the names of its pictures, and what could not be drawn with the reason.
+type Reported = (PathBuf, Vec<String>, Vec<(String, String)>);
+
 /// The report of a result file: the page, the names of its pictures, and what could not be drawn.
 #[pyfunction]
 #[pyo3(signature = (file, page, *, axes=None, slice=Vec::new(), levels=Vec::new(), width=None))]
@@ -386,7 +389,7 @@ pub fn report(
     slice: Vec<(String, f64)>,
     levels: Vec<f64>,
     width: Option<u32>,
-) -> PyResult<(PathBuf, Vec<String>, Vec<(String, String)>)> {
+) -> PyResult<Reported> {
     let done = py.detach(|| {
         let stored = Stored::open(&file)?;
         let choice = Report {
