@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -56,17 +57,41 @@ class Law:
             Path(path).write_bytes(model)
         return model
 
+    def to_fmu(self, path, *, compiled=False) -> None:
+        """Writes an FMU (FMI 3.0, model exchange and co-simulation): states in, controls out, with the C
+        source inside. ``compiled``: also the binary for this machine (Linux, with a C compiler)."""
+        from . import _fmu
+
+        header = self.to_c()
+        found = re.search(r"static inline void (\w+_u)\(", header)
+        if found is None:
+            raise InputError(f"law {self.name} commands states ({', '.join(self.outputs)}), not controls")
+        scene = self.problem._scene
+        _fmu.write(
+            path,
+            self.name,
+            f"{self.name}: {self.problem.title}",
+            header,
+            f"{found[1]}(x, u);",
+            scene.states,
+            scene.controls,
+            scene.reference,
+            compiled,
+        )
+
     def save(self, path) -> None:
-        """Writes a file by its ending: ``.toml`` (weights), ``.h`` or ``.onnx``."""
+        """Writes a file by its ending: ``.toml`` (weights), ``.h``, ``.onnx`` or ``.fmu``."""
         ending = Path(path).suffix.lower()
         if ending == ".onnx":
             self.to_onnx(path)
         elif ending == ".h":
             self.to_c(path)
+        elif ending == ".fmu":
+            self.to_fmu(path)
         elif ending == ".toml":
             Path(path).write_text(self.to_toml(), encoding="utf-8")
         else:
-            raise InputError(f"{path}: name a file .toml (weights), .h (C) or .onnx")
+            raise InputError(f"{path}: name a file .toml (weights), .h (C), .onnx or .fmu")
 
     def __repr__(self):
         return f"<pycostate.Law {self.name!r} of {self.problem.title!r}: {', '.join(self.outputs)}>"
