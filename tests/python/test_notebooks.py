@@ -26,4 +26,4 @@ def test_a_notebook_runs(path, monkeypatch):
 
 
 def test_there_are_notebooks():
-    assert {path.stem for path in NOTEBOOKS} >= {"compressor", "game", "ten_minutes", "two_sheets"}
+    assert {path.stem for path in NOTEBOOKS} >= {"compressor", "game", "published", "ten_minutes", "two_sheets"}

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from . import errors
 from ._check import Check
+from ._command import adapters, check_least, command, import_urdf
 from ._law import Law, load_law
 from ._problem import Problem
 from ._reports import Report, open, report
@@ -35,7 +36,11 @@ __all__ = [
     "Report",
     "SceneError",
     "Value",
+    "adapters",
+    "check_least",
+    "command",
     "errors",
+    "import_urdf",
     "load_law",
     "main",
     "open",

@@ -575,6 +575,54 @@ class Problem:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
+    def bench(self, *, out=None, trajectories=4096, passes=None, **only) -> xr.DataTree:
+        """Speed against error of every backend, precision, method and tolerance on the scene's own
+        trajectories, as ``costate bench``: a DataTree with ``speed_error`` and ``host_share``.
+
+        Parameters
+        ----------
+        trajectories, passes : int
+        **only
+            ``backend``, ``adapter``, ``precision``, ``method``, ``rtol``: only these (method and rtol may
+            be lists).
+        """
+        from . import _command
+
+        words: list[Any] = ["--trajectories", trajectories]
+        for name, given in {**only, "repeats": passes}.items():
+            if given is None:
+                continue
+            if name not in ("backend", "adapter", "precision", "method", "rtol", "repeats"):
+                raise TypeError(f"{name} is no option of bench")
+            given = [given] if isinstance(given, (str, int, float)) else list(given)
+            words += [f"--{name}", ",".join(map(str, given))]
+        with _files.Target(out) as target:
+            folder = target.folder or os.path.dirname(target.path)
+            scene, options = _command.scene_file(self, folder)
+            _command.command("bench", scene, *options, *words, "--out", target.path, "--quiet")
+            file = target.file()
+        return _files.tree(file)
+
+    def mechanism(self, points=None, /, **states) -> dict:
+        """The scene's mechanism at states given as for :meth:`solve`: mass matrix, forces, accelerations
+        with their derivatives, energies, points, contacts: what ``costate mechanism --json`` prints,
+        ``coordinates`` and a dict each of ``states``."""
+        import csv
+
+        from . import _command
+
+        with tempfile.TemporaryDirectory(prefix="pycostate-") as folder:
+            words: list[Any] = []
+            if points is not None or states:
+                table = os.path.join(folder, "points.csv")
+                with open(table, "w", newline="", encoding="utf-8") as out:
+                    writer = csv.writer(out)
+                    writer.writerow(self.states)
+                    writer.writerows([[repr(float(v)) for v in row] for row in Places(self, points, states).x])
+                words = ["--points", table]
+            scene, options = _command.scene_file(self, folder)
+            return _command.of_json("mechanism", scene, *options, *words)
+
     def value(self, result) -> Value:
         """V, p and u at any state, interpolated from a result (a file, Dataset or DataTree)."""
         file = _files.file_of(result)
