@@ -32,8 +32,10 @@ def test_a_mechanism(scenarios):
     assert at["coordinates"] == ["cart", "pole"]
     one, other = (state["by_control"] for state in at["states"])
     assert one != other
-    heavier = p.set(**{next(iter(p.parameters)): 9.0})
-    assert heavier.mechanism()["states"] != p.mechanism()["states"]
+    # A problem that is no file's.
+    assert p.having(title="Another").mechanism()["states"] == p.mechanism()["states"]
+    gait = pycostate.Problem.load(scenarios / "compass_gait.toml")
+    assert gait.set(slope=0.01).mechanism()["coordinates"] == ["stance", "swing"]
 
 
 def test_a_robot(tmp_path):
