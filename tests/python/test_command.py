@@ -35,7 +35,7 @@ def test_a_mechanism(scenarios):
     # A problem that is no file's.
     assert p.having(title="Another").mechanism()["states"] == p.mechanism()["states"]
     gait = pycostate.Problem.load(scenarios / "compass_gait.toml")
-    assert gait.set(slope=0.01).mechanism()["coordinates"] == ["stance", "swing"]
+    assert "swing" in gait.set(slope=0.01).mechanism()["coordinates"]
 
 
 def test_a_robot(tmp_path):
