@@ -220,6 +220,8 @@ def test_ctrl_c_keeps_what_is_done(scenarios):
     program = f"""
 import os, signal, threading, time
 import numpy as np, pycostate
+# A shell in the background has told its children to ignore it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 p = pycostate.Problem.load({str(scenarios / "moore_greitzer.toml")!r}).using(backend="cpu")
 bounds = np.array(list(p.region.values()))
 x = np.random.default_rng(3).uniform(*bounds.T, (20_000, 4))
