@@ -27,3 +27,23 @@ def double_integrator():
         region={"x": [-1, 1], "v": [-1, 1]},
         integrator={"rtol": 1e-10},
     ).using(backend="cpu")
+
+
+@pytest.fixture
+def ball():
+    """A ball on a floor; `set` says what a bounce makes of its speed."""
+    import pycostate
+
+    def made(set):
+        return pycostate.Problem(
+            states=["h", "v"],
+            controls=["u"],
+            dynamics={"h": "v", "v": "-9.81 + u"},
+            running="u^2",
+            terminal="0",
+            final_time=1,
+            region={"h": [0, 2], "v": [-6, 6]},
+            events={"floor": {"when": "h <= 0", "set": {"v": set}}},
+        ).using(backend="cpu")
+
+    return made

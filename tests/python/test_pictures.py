@@ -68,18 +68,8 @@ def test_phase_and_histories(swept):
     assert "trajectories" in swept.costate.file.children
 
 
-def test_flights_are_drawn_by_phase():
-    ball = pycostate.Problem(
-        states=["h", "v"],
-        controls=["u"],
-        dynamics={"h": "v", "v": "-9.81 + u"},
-        running="u^2",
-        terminal="0",
-        final_time=1,
-        region={"h": [0, 2], "v": [-6, 6]},
-        events={"floor": {"when": "h <= 0", "set": {"v": "-0.8*v"}}},
-    ).using(backend="cpu")
-    tree = ball.simulate(h=1.0, v=0.0, time=1.5)
+def test_flights_are_drawn_by_phase(ball):
+    tree = ball("-0.8*v").simulate(h=1.0, v=0.0, time=1.5)
     samples = tree["simulation_samples"].to_dataset()
     panels = samples.costate.histories()
     assert len(panels[0].lines) == tree["simulation_events"].sizes["jump"] + 1

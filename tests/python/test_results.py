@@ -127,19 +127,9 @@ def test_a_law_is_fitted_and_flies(double_integrator, tmp_path):
     assert abs(flown["simulation"].x_end).max() < 0.02
 
 
-def test_simulate_with_events():
-    ball = pycostate.Problem(
-        states=["h", "v"],
-        controls=["u"],
-        dynamics={"h": "v", "v": "-9.81 + u"},
-        running="u^2",
-        terminal="0",
-        final_time=1,
-        region={"h": [0, 2], "v": [-6, 6]},
-        events={"floor": {"when": "h <= 0", "set": {"v": "-0.8*v + 1"}}},
-        simulation={"time": 5},
-    ).using(backend="cpu")
-    tree = ball.simulate(h=1.0, v=0.0, cycle=1)
+def test_simulate_with_events(ball):
+    driven = ball("-0.8*v + 1").having(simulation={"time": 5})
+    tree = driven.simulate(h=1.0, v=0.0, cycle=1)
     # 5 = 0.8*5 + 1.
     assert tree["cycles"].x.sel(state="v").item() == pytest.approx(5.0, abs=1e-9)
     assert tree["cycles"].period.item() == pytest.approx(10 / 9.81, abs=1e-9)

@@ -21,7 +21,7 @@ use costate_cli::{BackendChoice, CliError, provenance};
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Where and how exactly to compute, and who is told of it.
@@ -98,6 +98,21 @@ impl How {
         let (progress, note) = (self.progress.bind(py), self.note.bind(py));
         going(py, (progress, note), self.time_limit, work)
     }
+
+    /// Something that a session computes into a result file.
+    fn compute(
+        &self,
+        py: Python<'_>,
+        scene: &Scene,
+        work: impl FnOnce(&Session<'_>, &Provenance) -> Result<Made, CliError> + Send,
+    ) -> PyResult<Written> {
+        let (numerics, scene) = (self.numerics(py)?, Arc::clone(&scene.inner));
+        let gone = self.going(py, |listener, deadline| {
+            let provenance = provenance();
+            work(&numerics.session(&scene, listener, deadline)?, &provenance)
+        });
+        written(py, gone)
+    }
 }
 
 impl Numerics {
@@ -114,33 +129,32 @@ impl Numerics {
             .until(deadline)
             .with_progress(listener))
     }
-
-    /// Puts a file in place, with the record of what made it.
-    fn finish(
-        &self,
-        session: &Session<'_>,
-        file: ResultFile,
-        provenance: &Provenance,
-    ) -> Result<PathBuf, CliError> {
-        let integrator = &session.scene().model.integrator;
-        let record = RunRecord {
-            rtol: self.choices.rtol.unwrap_or(integrator.rtol),
-            atol: integrator.atol,
-            ..session.record(provenance)
-        };
-        record.write(&file)?;
-        Ok(file.finish()?)
-    }
 }
 
-/// What was written: the file, a summary as JSON, whether it was ended before all was done, and the
+/// Puts a file in place, with the record of what made it.
+fn finish(
+    session: &Session<'_>,
+    file: ResultFile,
+    provenance: &Provenance,
+) -> Result<PathBuf, CliError> {
+    let integrator = &session.scene().model.integrator;
+    let record = RunRecord {
+        rtol: session.choices.rtol.unwrap_or(integrator.rtol),
+        atol: integrator.atol,
+        ..session.record(provenance)
+    };
+    record.write(&file)?;
+    Ok(file.finish()?)
+}
+
+/// What was made: the file, a summary, and whether it was ended before all was done.
+type Made = (PathBuf, Value, bool);
+
+/// The same for Python: the file, a summary as JSON, whether it was ended before all was done, and the
 /// exception that ended it.
 type Written = (PathBuf, String, bool, Option<PyErr>);
 
-fn written(
-    py: Python<'_>,
-    gone: Gone<Result<(PathBuf, Value, bool), CliError>>,
-) -> PyResult<Written> {
+fn written(py: Python<'_>, gone: Gone<Result<Made, CliError>>) -> PyResult<Written> {
     match (gone.done, gone.interrupted) {
         (Ok((path, summary, stopped)), interrupted) => {
             Ok((path, summary.to_string(), stopped, interrupted))
@@ -195,48 +209,40 @@ pub fn run(
             return Err(of_input(py, &message));
         }
     };
-    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
-    let gone = how.going(py, |listener, deadline| {
-        let provenance = provenance();
-        let session = numerics.session(&scene, listener, deadline)?;
-        let done = session.run(&wanted, &out, &provenance)?;
+    how.compute(py, scene, |session, provenance| {
+        let done = session.run(&wanted, &out, provenance)?;
         let stopped = done.outcome.stopped || done.laws.stopped;
         let summary = costate_cli::summary(&done, wanted.laws);
         Ok((done.path, summary, stopped))
-    });
-    written(py, gone)
+    })
 }
 
 /// The scene's `[study]`.
 #[pyfunction]
 pub fn study(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
-    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
-    let gone = how.going(py, |listener, deadline| {
-        let provenance = provenance();
-        let session = numerics.session(&scene, listener, deadline)?;
+    how.compute(py, scene, |session, provenance| {
         let mut file = ResultFile::create(&out)?;
         let variants = session.study()?;
-        let stopped = write_study(&session, &mut file, &variants, &provenance)?;
-        let path = numerics.finish(&session, file, &provenance)?;
-        Ok((path, json!(study_rows(&scene.model, &variants)), stopped))
-    });
-    written(py, gone)
+        let stopped = write_study(session, &mut file, &variants, provenance)?;
+        let path = finish(session, file, provenance)?;
+        Ok((
+            path,
+            json!(study_rows(&session.scene().model, &variants)),
+            stopped,
+        ))
+    })
 }
 
 /// The scene's `[attenuation]`.
 #[pyfunction]
 pub fn attenuation(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
-    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
-    let gone = how.going(py, |listener, deadline| {
-        let provenance = provenance();
-        let session = numerics.session(&scene, listener, deadline)?;
+    how.compute(py, scene, |session, provenance| {
         let mut file = ResultFile::create(&out)?;
         let found = session.attenuation()?;
-        write_attenuation(&mut file, &scene.model, &found)?;
-        let path = numerics.finish(&session, file, &provenance)?;
+        write_attenuation(&mut file, &session.scene().model, &found)?;
+        let path = finish(session, file, provenance)?;
         Ok((path, json!(AttenuationSummary::new(&found)), false))
-    });
-    written(py, gone)
+    })
 }
 
 /// Flights forward in time from `[flight][component]`, with the scene's events. `law`: the name of one
@@ -257,7 +263,6 @@ pub fn simulate(
     weights: Option<(String, String)>,
     cycle: Option<usize>,
 ) -> PyResult<Written> {
-    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
     let x: Option<Vec<f64>> = x
         .map(|x| Ok::<_, PyErr>(x.as_slice()?.to_vec()))
         .transpose()?;
@@ -271,12 +276,11 @@ pub fn simulate(
             (None, None) => None,
         },
     };
-    let gone = how.going(py, |listener, deadline| {
-        let provenance = provenance();
-        let session = numerics.session(&scene, listener, deadline)?;
+    how.compute(py, scene, |session, provenance| {
         let mut file = ResultFile::create(&out)?;
-        let axes = TrajectorySchema::axes(&scene.model);
-        let cycle = cycle.or(scene.model.simulation.as_ref().and_then(|s| s.cycle));
+        let model = &session.scene().model;
+        let axes = TrajectorySchema::axes(model);
+        let cycle = cycle.or(model.simulation.as_ref().and_then(|s| s.cycle));
         let (mut from, mut cycles) = (x.clone(), None);
         if let Some(events) = cycle {
             let near = session.starts(x.as_deref())?;
@@ -290,10 +294,9 @@ pub fn simulate(
         if let Some((events, cycles)) = &cycles {
             file.cycles(&axes, cycles, *events)?;
         }
-        let path = numerics.finish(&session, file, &provenance)?;
+        let path = finish(session, file, provenance)?;
         Ok((path, json!({ "status": simulated.by_status() }), false))
-    });
-    written(py, gone)
+    })
 }
 
 /// The scene's `[closed_loop]` and `[dissipation]`, with V and laws of a result file, and further laws
@@ -312,24 +315,20 @@ pub fn evaluate(
     random: Option<usize>,
     solve: bool,
 ) -> PyResult<Written> {
-    let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
     let options = LoopOptions {
         laws,
         random,
         solve,
     };
     let added = weights.into_iter().map(of_text).collect();
-    let gone = how.going(py, |listener, deadline| {
-        let provenance = provenance();
+    how.compute(py, scene, |session, provenance| {
         let stored = stored.map(Stored::open).transpose()?;
-        let session = numerics.session(&scene, listener, deadline)?;
         let out = Some(out.as_path());
-        let done = evaluated(&session, stored.as_ref(), added, &options, out, &provenance)?;
+        let done = evaluated(session, stored.as_ref(), added, &options, out, provenance)?;
         let closed_loop = done.closed_loop.as_ref();
         let summary = closed_loop.map(|e| EvaluationSummary::new(e, &done.path));
         Ok((done.path.clone(), json!(summary), false))
-    });
-    written(py, gone)
+    })
 }
 
 /// Fits the laws of `[feedback]` of a scene to what a result file holds, into that file. `directory`:
@@ -409,6 +408,6 @@ pub fn report(
 }
 
 fn of_text((name, text): (String, String)) -> Weights {
-    let file = Path::new(&name).display().to_string();
+    let file = name.clone();
     Weights { name, text, file }
 }

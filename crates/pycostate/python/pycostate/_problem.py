@@ -8,6 +8,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -277,15 +278,25 @@ class Problem:
 
     # What it computes.
 
-    def _do(self, compute, numerics, out, group=None):
-        """Computes into a file; a group of it as a Dataset, or all as a DataTree."""
+    def _named(self, options) -> dict:
+        """States that are given by name, taken from among options."""
+        return {k: options.pop(k) for k in self.states if k in options}
+
+    @contextmanager
+    def _how(self, numerics):
+        """How to compute: the problem's options with those of a call, and who is told."""
         how = {**self._numerics, **self._known(numerics), "note": _note}
         how["progress"], close = _progress(how["progress"])
+        try:
+            yield how
+        finally:
+            close()
+
+    def _do(self, compute, numerics, out, group=None):
+        """Computes into a file; a group of it as a Dataset, or all as a DataTree."""
         with _files.Target(out) as target:
-            try:
-                path, summary, stopped, interrupted = compute(target.path, how)
-            finally:
-                close()
+            with self._how(numerics) as how:
+                path, _, stopped, interrupted = compute(target.path, how)
             file = target.file(path)
         if interrupted is not None and not isinstance(interrupted, KeyboardInterrupt):
             raise interrupted
@@ -380,7 +391,7 @@ class Problem:
             (a control each), sheet, status, evidence and so on. A state without an answer has V = NaN
             and a status that says why.
         """
-        named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
+        named = self._named(states_and_numerics)
         places = Places(self, points, named)
         options = {
             "one_sheet": one_sheet,
@@ -489,7 +500,7 @@ class Problem:
         """
         if callable(law) and not isinstance(law, Law):
             return self._fly(law, x0, time, samples, events or cycle or out, states_and_numerics)
-        named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
+        named = self._named(states_and_numerics)
         x = Places(self, x0, named).x if x0 is not None or named else None
         options = {"time": time, "events": events, "samples": samples, "cycle": cycle}
         if isinstance(law, Law):
@@ -507,8 +518,7 @@ class Problem:
 
         if others:
             raise InputError("events, cycle and out are not for laws of Python")
-        named = {k: states_and_numerics.pop(k) for k in self.states if k in states_and_numerics}
-        how = {**self._numerics, **self._known(states_and_numerics)}
+        named = self._named(states_and_numerics)
         system = _engine.System(self._scene)
         given = _toml.loads(self.text).get("simulation", {})
         x = Places(self, x0, named).x
@@ -519,17 +529,14 @@ class Problem:
         if time is None or not 0 < float(time) < float("inf"):
             raise InputError(f"time = {time}: how long to simulate?")
         samples = given.get("samples", 50) if samples is None else int(samples)
-        rtol = 1e-8 if how["rtol"] is None else float(how["rtol"])
-        progress, close = _progress(how["progress"])
+        with self._how(states_and_numerics) as how:
+            rtol = 1e-8 if how["rtol"] is None else float(how["rtol"])
 
-        def tell(share):
-            if progress is not None:
-                progress(f"simulated: {100 * share:.0f} %")
+            def tell(share):
+                if how["progress"] is not None:
+                    how["progress"](f"simulated: {100 * share:.0f} %")
 
-        try:
             done = _functions.fly(self, system, law, x, float(time), samples, rtol, tell)
-        finally:
-            close()
         name = getattr(law, "__qualname__", type(law).__name__)
         return _functions.tree(self, system, done, time, name, rtol)
 
@@ -650,21 +657,19 @@ class Problem:
             By name, where there are several.
         """
         file = _files.file_of(result)
-        how = {**self._numerics, **self._known(numerics), "note": _note}
-        how["progress"], close = _progress(how["progress"])
-        with tempfile.TemporaryDirectory(prefix="pycostate-") as folder:
-            try:
-                laws, left_out, interrupted = _engine.fit(
-                    self._scene,
-                    file.path,
-                    os.fspath(directory or folder),
-                    how,
-                    names=None if names is None else list(names),
-                    starts=starts,
-                    seed=seed,
-                )
-            finally:
-                close()
+        with (
+            self._how(numerics) as how,
+            tempfile.TemporaryDirectory(prefix="pycostate-") as folder,
+        ):
+            laws, left_out, interrupted = _engine.fit(
+                self._scene,
+                file.path,
+                os.fspath(directory or folder),
+                how,
+                names=None if names is None else list(names),
+                starts=starts,
+                seed=seed,
+            )
         made = {law.name: Law(law, self) for law in laws}
         if interrupted is not None:
             raise Interrupted("ended before all laws were fitted", made) from interrupted
