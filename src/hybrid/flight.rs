@@ -246,9 +246,7 @@ impl Simulator {
         let moving: FxHashMap<Id, Id> = x.iter().copied().zip(rates.iter().copied()).collect();
         let slopes = graph.tangents(&ahead, &moving);
         let curves = graph.tangents(&slopes, &moving);
-        let gradients: Vec<Id> = (ahead.iter())
-            .flat_map(|ahead| graph.gradient(*ahead, x))
-            .collect();
+        let sizes = sizes(graph, &ahead, x, states);
         let duration = graph.symbol("phase duration", Kind::Parameter);
         let mut scaled =
             |of: &[Id]| -> Vec<Id> { of.iter().map(|f| graph.mul(duration, *f)).collect() };
@@ -295,13 +293,12 @@ impl Simulator {
         };
         let of_state = |roots: &[Id]| Program::lower(graph, x, roots);
         let conditions = of_state(&conditions);
-        let gradients = of_state(&gradients);
         Ok(Self {
             states: n,
             precision,
             adaptive: method.adaptive(),
             at_once: (0..all.len()).map(|k| k >= events.len()).collect(),
-            sizes: sizes((&conditions, &gradients), states, n, all.len()),
+            sizes,
             guarded: backend.compile(&spec(&inputs, &slope, true, false))?,
             plain: backend.compile(&spec(&plain_inputs, &[], false, false))?,
             stored: backend.compile(&spec(&plain_inputs, &[], false, true))?,
@@ -509,8 +506,7 @@ impl Simulator {
         let mut after = map.eval(&before);
         let kept = after.split_off(self.states);
         let (kept, kept_before) = kept.split_at(kept.len() / 2);
-        let lost = (kept.iter().zip(kept_before))
-            .position(|(now, before)| now.abs() > OFF && now.abs() > 2.0 * before.abs());
+        let lost = lost_contact(kept, kept_before);
         if let Some(kept_number) = lost {
             flights.lost.get_or_insert(Lost {
                 flight: flight.number,
@@ -659,15 +655,21 @@ impl Simulator {
     }
 }
 
-/// The largest value of each condition at some states, or of what its rounding is a share of: of x
-/// times its derivative by that; 1 where there is none.
-fn sizes(
-    (conditions, gradients): (&Program, &Program),
-    states: &[f64],
-    n: usize,
-    count: usize,
-) -> Vec<f64> {
-    let mut sizes = vec![0.0f64; count];
+/// The first of what contacts keep that is off after an event, and more so than before it.
+pub fn lost_contact(after: &[f64], before: &[f64]) -> Option<usize> {
+    (after.iter().zip(before))
+        .position(|(after, before)| after.abs() > OFF && after.abs() > 2.0 * before.abs())
+}
+
+/// The largest value of each condition at some states (`[state][n]`), or of what its rounding is a
+/// share of: of x times its derivative by that; 1 where there is none.
+pub fn sizes(graph: &mut Graph, ahead: &[Id], x: &[Id], states: &[f64]) -> Vec<f64> {
+    let gradients: Vec<Id> = (ahead.iter())
+        .flat_map(|ahead| graph.gradient(*ahead, x))
+        .collect();
+    let [conditions, gradients] = [ahead, &gradients].map(|all| Program::lower(graph, x, all));
+    let n = x.len();
+    let mut sizes = vec![0.0f64; ahead.len()];
     for x in states.chunks(n) {
         let (all, slopes) = (conditions.eval(x), gradients.eval(x));
         for (k, size) in sizes.iter_mut().enumerate() {

@@ -8,4 +8,4 @@ mod flight;
 mod watch;
 
 pub use cycle::{Cycle, CycleError, Orbits};
-pub use flight::{End, Flights, Jump, Lost, OFF, Options, Sample, Simulator};
+pub use flight::{End, Flights, Jump, Lost, OFF, Options, Sample, Simulator, lost_contact, sizes};

@@ -9,6 +9,10 @@ use crate::model::Precision;
 
 /// Roundings of a time that an event may be off by.
 const TICKS: f64 = 4.0;
+/// What is this many roundings of a condition from its surface lies on it.
+const ROUNDINGS: f64 = 64.0;
+/// The time of an event is known to this, relative to the phase.
+pub(super) const LOCATED: f64 = 1e-13;
 
 /// Sizes that are next to nothing.
 #[derive(Clone, Copy, Debug)]
@@ -82,6 +86,11 @@ impl Here {
     pub fn is_flat(&self, grain: Grain) -> bool {
         // It gets as far as slope^2 / (2 |curve|).
         self.slope * self.slope <= 2.0 * self.curve.abs() * grain.height * self.size
+    }
+
+    /// What is no nearer to the surface of an event than this, after a phase so long, may be on it.
+    pub fn rounding(&self, precision: Precision, flown: f64) -> f64 {
+        ROUNDINGS * precision.epsilon() * self.size + self.slope.abs() * 2.0 * LOCATED * flown
     }
 
     pub fn is_on_surface(&self, grain: Grain) -> bool {

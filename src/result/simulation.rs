@@ -5,7 +5,7 @@ use super::table::Table;
 use crate::hdf5::{OutputError, ResultFile};
 use crate::hybrid::{Cycle, CycleError, End};
 use crate::schema;
-use crate::session::Simulated;
+use crate::session::{Cycles, Simulated};
 
 /// Codes of orbits that were looked for, with their meanings.
 const CYCLE_STATUSES: [(i32, &str); 4] = [
@@ -26,7 +26,7 @@ fn code(found: &Result<Cycle, CycleError>) -> i32 {
 }
 
 impl ResultFile {
-    /// Writes flights; `device` is the backend's name and its adapter.
+    /// Writes flights, and the orbits that they begin on; `device` is the backend's name and its adapter.
     ///
     /// # Errors
     /// [`OutputError`] on writing.
@@ -90,19 +90,15 @@ impl ResultFile {
         if !axes.controls.is_empty() {
             table.put("u", &simulated.u);
         }
-        table.write(self)
+        table.write(self)?;
+        match &simulated.cycles {
+            Some(found) => self.cycles(axes, found),
+            None => Ok(()),
+        }
     }
 
-    /// Writes orbits that come back after `events` events.
-    ///
-    /// # Errors
-    /// [`OutputError`] on writing.
-    pub fn cycles(
-        &mut self,
-        axes: &TrajectorySchema,
-        cycles: &[Result<Cycle, CycleError>],
-        events: usize,
-    ) -> Result<(), OutputError> {
+    fn cycles(&mut self, axes: &TrajectorySchema, found: &Cycles) -> Result<(), OutputError> {
+        let (events, cycles) = (found.events, &found.found);
         let n = axes.states.len();
         let unknown = vec![f64::NAN; n];
         let numbers = |of: &dyn Fn(&Cycle) -> f64| -> Vec<f64> {

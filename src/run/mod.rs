@@ -196,10 +196,22 @@ impl Session<'_> {
         Ok(laws)
     }
 
-    /// The record of a run on the session's backend, without what it was integrated with.
-    #[must_use]
-    pub fn record(&self, provenance: &Provenance) -> RunRecord {
+    /// Puts a file in place with the record of what made it; its path.
+    ///
+    /// # Errors
+    /// Those of writing.
+    pub fn finish(&self, file: ResultFile, provenance: &Provenance) -> Result<PathBuf, RunError> {
+        self.record(provenance).write(&file)?;
+        Ok(file.finish()?)
+    }
+
+    /// The record of a run on the session's backend, with the tolerances asked for, without the
+    /// precision and the method.
+    fn record(&self, provenance: &Provenance) -> RunRecord {
+        let integrator = &self.scene().model.integrator;
         RunRecord {
+            rtol: self.choices.rtol.unwrap_or(integrator.rtol),
+            atol: integrator.atol,
             backend: self.backend().name().to_owned(),
             adapter: self.backend().adapter(),
             ..provenance.record(&self.scene().model)

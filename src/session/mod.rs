@@ -26,7 +26,7 @@ pub use mechanism::{
 };
 pub use pass::{Outcome, Pass, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
-pub use simulation::{ControlledBy, Simulated, SimulationOptions, end_name};
+pub use simulation::{ControlledBy, Cycles, Simulated, SimulationOptions, end_name, some_states};
 pub use wanted::{Kept, Listed, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};

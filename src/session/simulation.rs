@@ -32,6 +32,31 @@ pub struct SimulationOptions {
     pub samples: Option<usize>,
     /// What controls.
     pub law: Option<ControlledBy>,
+    /// Looks for an orbit that comes back to itself after so many events near each state, and begins
+    /// there where one is found; 0: looks for none.
+    pub cycle: Option<usize>,
+}
+
+impl SimulationOptions {
+    /// With what the scene says, or the default, where nothing is asked.
+    #[must_use]
+    pub fn or_of(self, model: &Model) -> Self {
+        let given = model.simulation.as_ref();
+        let law = given.and_then(|s| s.law.clone());
+        Self {
+            time: (self.time)
+                .or(given.and_then(|s| s.time))
+                .or(model.final_time()),
+            events: self
+                .events
+                .or(Some(given.map_or(DEFAULT_EVENTS, |s| s.events))),
+            samples: self
+                .samples
+                .or(Some(given.map_or(DEFAULT_PHASE_SAMPLES, |s| s.samples))),
+            law: self.law.or(law.map(ControlledBy::Law)),
+            cycle: self.cycle.or(given.and_then(|s| s.cycle)),
+        }
+    }
 }
 
 /// What controls a simulated system.
@@ -68,6 +93,28 @@ pub struct Simulated {
     pub rtol: f64,
     /// How long a flight was to last.
     pub time: f64,
+    /// Orbits near the states, if any were looked for.
+    pub cycles: Option<Cycles>,
+}
+
+/// Orbits that were looked for, one near each state.
+#[derive(Clone, Debug)]
+pub struct Cycles {
+    /// After so many events they come back.
+    pub events: usize,
+    /// `[flight]`.
+    pub found: Vec<Result<Cycle, CycleError>>,
+}
+
+impl Cycles {
+    /// Where flights begin: at the orbit, or in the state near which none was found.
+    fn begins(&self, near: &[f64]) -> Vec<f64> {
+        let near = near.chunks(near.len() / self.found.len().max(1));
+        let begins = near
+            .zip(&self.found)
+            .flat_map(|(near, found)| found.as_ref().map_or(near, |cycle| &cycle.start));
+        begins.copied().collect()
+    }
 }
 
 impl Simulated {
@@ -119,7 +166,7 @@ struct Prepared {
 
 impl Session<'_> {
     /// Simulates forward in time from states (`[flight][component]`; `None`: those of the scene's
-    /// `[simulation]`), with the scene's events.
+    /// `[simulation]`), with the scene's events; from orbits near them, if orbits are asked for.
     ///
     /// ```
     /// # use costate::{Scene, Session};
@@ -148,7 +195,18 @@ impl Session<'_> {
         from: Option<&[f64]>,
         options: &SimulationOptions,
     ) -> Result<Simulated, SessionError> {
-        let initial = self.starts(from)?;
+        let near = self.starts(from)?;
+        let options = &options.clone().or_of(&self.scene.model);
+        let cycles = (options.cycle.filter(|events| *events > 0))
+            .map(|events| {
+                let found = self.cycles(Some(&near), events, options)?;
+                Ok::<_, SessionError>(Cycles { events, found })
+            })
+            .transpose()?;
+        let initial = match &cycles {
+            Some(cycles) => cycles.begins(&near),
+            None => near,
+        };
         let Prepared {
             mut simulator,
             options,
@@ -175,6 +233,7 @@ impl Session<'_> {
             initial,
             flights,
             u,
+            cycles,
             ..simulated
         })
     }
@@ -222,17 +281,6 @@ impl Session<'_> {
         (near.chunks(n))
             .map(|guess| Ok(orbits.cycle(guess, events, &prepared.options)?))
             .collect()
-    }
-
-    /// Where flights begin, if orbits were looked for near states: at the orbit, or in the state near
-    /// which none was found.
-    #[must_use]
-    pub fn begins(&self, near: &[f64], found: &[Result<Cycle, CycleError>]) -> Vec<f64> {
-        let near = near.chunks(self.scene.model.states.len());
-        let begins = near
-            .zip(found)
-            .flat_map(|(near, found)| found.as_ref().map_or(near, |cycle| &cycle.start));
-        begins.copied().collect()
     }
 
     /// Says so where flights begin in states that the mechanism's contacts do not allow: forces keep
@@ -298,11 +346,8 @@ impl Session<'_> {
         choices: Choices,
     ) -> Result<Prepared, SessionError> {
         let model = &self.scene.model;
-        let given = model.simulation.as_ref();
-        let time = (asked.time)
-            .or(given.and_then(|s| s.time))
-            .or(model.final_time())
-            .ok_or(SessionError::NoTime)?;
+        let asked = asked.clone().or_of(model);
+        let time = asked.time.ok_or(SessionError::NoTime)?;
         let numerics = Numerics::choose(model, self.backend.as_ref(), choices)?;
         let law = self.law_of(asked.law.as_ref())?;
         let mut system = Closed::new(model, law.as_ref());
@@ -321,9 +366,6 @@ impl Session<'_> {
         let controls: Vec<Id> = model.controls.iter().map(|c| c.variable.symbol).collect();
         let controls = system.closed(&controls);
         let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
-        let samples = (asked.samples)
-            .or(given.map(|s| s.samples))
-            .unwrap_or(DEFAULT_PHASE_SAMPLES);
         let operations = system.graph.reachable(&rates).len();
         if operations > crate::sweep::MOST_OPERATIONS {
             return Err(crate::sweep::PlanError::TooLong { operations }.into());
@@ -338,10 +380,8 @@ impl Session<'_> {
         let widths = model.region.iter().map(|[lo, hi]| hi - lo);
         let options = Options {
             time,
-            events: (asked.events)
-                .or(given.map(|s| s.events))
-                .unwrap_or(DEFAULT_EVENTS),
-            samples,
+            events: asked.events.unwrap_or(DEFAULT_EVENTS),
+            samples: asked.samples.unwrap_or(DEFAULT_PHASE_SAMPLES),
             rtol: numerics.rtol,
             atol: widths.clone().map(|width| numerics.atol * width).collect(),
             widths: widths.collect(),
@@ -370,6 +410,7 @@ impl Session<'_> {
                 precision: numerics.precision,
                 rtol: numerics.rtol,
                 time,
+                cycles: None,
             },
             parts: Parts {
                 x,
@@ -380,16 +421,14 @@ impl Session<'_> {
         })
     }
 
-    /// The law that is asked for, or the scene's; `None` where controls are held.
+    /// The law that is asked for; `None` where controls are held.
     fn law_of(&self, asked: Option<&ControlledBy>) -> Result<Option<Law>, SessionError> {
         let Scene {
             model, hamiltonian, ..
         } = self.scene;
-        let own = model.simulation.as_ref().and_then(|s| s.law.clone());
-        let own = own.map(ControlledBy::Law);
         let closed_loop = model.closed_loop.as_ref();
         let laws = || Laws::new(model, hamiltonian, closed_loop.and_then(|c| c.track));
-        Ok(match asked.or(own.as_ref()) {
+        Ok(match asked {
             None | Some(ControlledBy::Nothing) => None,
             Some(ControlledBy::Weights(w)) => Some(laws().weights(&w.name, &w.text, &w.file)?),
             Some(ControlledBy::Law(name)) if name == LQR => Some(laws().lqr()?),
@@ -410,8 +449,9 @@ impl Session<'_> {
     }
 }
 
-/// States of the region, at random, and where flights may begin.
-fn some_states(model: &Model) -> Vec<f64> {
+/// States of the region, at random, and the reference: `[state][n]`.
+#[must_use]
+pub fn some_states(model: &Model) -> Vec<f64> {
     const STATES: u64 = 64;
     let n = model.states.len() as u64;
     let at = |k: u64, i: u64, [lower, upper]: [f64; 2]| lower + uniform(k, i) * (upper - lower);

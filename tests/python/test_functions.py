@@ -85,3 +85,109 @@ def test_a_law_without_values_ends_the_flight(double_integrator):
     assert flown.t_end[0].item() == pytest.approx(0.5, abs=1e-3)
     with pytest.raises(pycostate.InputError, match="how long"):
         double_integrator.simulate(lqr, [[0.1, 0.2]])
+
+
+BALL = """
+states = { h = { unit = "m" }, v = { unit = "m/s" }, n = {} }
+controls = { u = { min = -20, max = 20 } }
+dynamics = { h = "v", v = "-9.81 + u", n = "0" }
+cost = { running = "u^2", terminal = "0", final_time = 1 }
+region = { h = [0, 2], v = [-5, 5], n = [0, 10] }
+events.floor = { when = "h <= 0", set = { v = "-0.5*v", n = "n + 1" } }
+simulation = { initial = { h = 1, v = 0, n = 0 }, time = 2 }
+"""
+
+
+def held(x):
+    return np.zeros((len(x), 1))
+
+
+def words(flown):
+    codes = flown.status.attrs
+    names = dict(zip(codes["flag_values"].tolist(), codes["flag_meanings"].split()))
+    return [names[int(s)] for s in flown.status]
+
+
+def test_events_are_those_of_the_engine():
+    ball = pycostate.Problem.parse(BALL)
+    x0 = [[1.0, 0.0, 0.0], [0.5, 3.0, 0.0], [0.0, 2.0, 4.0]]
+    tree = ball.simulate(held, x0, events=3, rtol=1e-10)
+    engine = ball.simulate(None, x0, events=3, rtol=1e-10)
+    assert words(tree["simulation"]) == ["events"] * 3 == words(engine["simulation"])
+    mine, its = (t["simulation_events"].to_dataset() for t in (tree, engine))
+    for name in ("flight", "event"):
+        assert mine[name].values.tolist() == its[name].values.tolist()
+    for name in ("t", "before", "after"):
+        np.testing.assert_allclose(mine[name], its[name], atol=1e-9)
+    # By hand: the fall takes sqrt(2/g), then a bounce of half the speed as long.
+    fall = np.sqrt(2 / 9.81)
+    np.testing.assert_allclose(mine.t[:3], [fall, 2 * fall, 2.5 * fall], atol=1e-12)
+    assert abs(mine.before[:, 0]).max() < 1e-14
+    assert tree["simulation"].events.values.tolist() == [3, 3, 3]
+    # Phases of the points, first and last of each included.
+    samples = tree["simulation_samples"].to_dataset()
+    first = samples.isel(sample=samples.flight.values == 0)
+    assert first.phase.values.max() == 3
+    np.testing.assert_allclose(first.t[first.phase.values == 1][[0, -1]], [fall, 2 * fall], atol=1e-12)
+
+
+def test_bounces_without_end_end():
+    ball = pycostate.Problem.parse(BALL)
+    flown = ball.simulate(held)["simulation"]
+    assert words(flown) == ["zeno"]
+    assert flown.t_end.item() == pytest.approx(3 * np.sqrt(2 / 9.81), rel=1e-6)
+
+
+def test_a_law_that_catches_the_ball():
+    ball = pycostate.Problem.parse(BALL)
+    # It holds the ball below 0.5 m: after the first bounce u - g = 4 - 10 (h - 0.3) - 4 v is a spring.
+    caught = ball.simulate(
+        lambda x: np.where(x[:, 2:] > 0, 9.81 - 10 * (x[:, :1] - 0.3) - 4 * x[:, 1:2], 0.0), time=9.0
+    )["simulation"]
+    assert words(caught) == ["time"]
+    np.testing.assert_allclose(caught.x_end[0], [0.3, 0.0, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("events", "status", "count"),
+    [
+        # It ends there; it does not count; it counts on the way back alone.
+        ('a = { when = "x >= 0.6", ends = true }', "event_a", 0),
+        ('a = { when = "x >= 0.6", where = "v < 0", set = { v = "7" } }', "time", 0),
+        ('a = { when = "x <= 0.6", where = "v < 0", set = { c = "c + 1" } }', "time", 2),
+        # Of two at a moment both; the second is not met where the first turns the motion.
+        ('a = { when = "x >= 0.6", set = { c = "c + 1" } }\nb = { when = "x >= 0.6", set = { c = "c + 10" } }', "time", 4),
+        ('a = { when = "x >= 0.6", set = { v = "-v" } }\nb = { when = "x >= 0.6", set = { c = "c + 10" } }', "time", 3),
+        # True for a small part of a step.
+        ('a = { when = "x >= 0.9999", set = { c = "c + 1" } }', "time", 2),
+    ],
+)
+def test_events_of_an_oscillator(events, status, count):
+    scene = f"""
+        states = {{ x = {{}}, v = {{}}, c = {{}} }}
+        controls = {{ u = {{}} }}
+        dynamics = {{ x = "v", v = "-x + u", c = "0" }}
+        cost = {{ running = "u^2", terminal = "0", final_time = 1 }}
+        region = {{ x = [-1, 1], v = [-1, 1], c = [0, 10] }}
+        [events]
+        {events}
+    """
+    p = pycostate.Problem.parse(scene)
+    for rtol in (1e-4, 1e-9):
+        tree = p.simulate(held, [[0.0, 1.0, 0.0]], time=11.0, rtol=rtol)
+        engine = p.simulate(None, [[0.0, 1.0, 0.0]], time=11.0, rtol=1e-9)
+        mine, its = (t["simulation_events"].to_dataset() for t in (tree, engine))
+        assert words(tree["simulation"]) == [status] == words(engine["simulation"])
+        assert mine.sizes["jump"] == count == its.sizes["jump"]
+        np.testing.assert_allclose(mine.t, its.t, atol=30 * rtol / (0.014 if "9999" in events else 1))
+        np.testing.assert_allclose(tree["simulation"].x_end, engine["simulation"].x_end, atol=100 * rtol)
+
+
+def test_a_gait_under_a_function(scenarios):
+    p = pycostate.Problem.load(scenarios / "compass_gait.toml")
+    engine = p.simulate(events=4)
+    start = engine["simulation"].x0.values
+    tree = p.simulate(lambda x: np.zeros((len(x), len(p.controls))), start, events=4, rtol=1e-10)
+    assert words(tree["simulation"]) == ["events"] == words(engine["simulation"])
+    np.testing.assert_allclose(tree["simulation_events"].t, engine["simulation_events"].t, atol=1e-8)
+    np.testing.assert_allclose(tree["simulation"].x_end, engine["simulation"].x_end, atol=1e-7)

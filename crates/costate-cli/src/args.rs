@@ -164,8 +164,8 @@ pub struct SimulateArgs {
     #[arg(long, value_name = "FILE.toml", conflicts_with = "law")]
     pub weights: Option<PathBuf>,
     /// Look for the orbit that comes back to itself after so many events, near each state, and for
-    /// its multipliers; flights begin there then [default: the scene's]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    /// its multipliers; flights begin there then. 0: for none [default: the scene's]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1000))]
     pub cycle: Option<u32>,
     /// The result file [default: out/<scene>_simulation.h5]
     #[arg(long)]

@@ -7,7 +7,7 @@ use crate::scene::Scene;
 use costate::backend::Deadline;
 use costate::low_level::hdf5::ResultFile;
 use costate::low_level::model::{Method, Report};
-use costate::low_level::result::{RunRecord, Stored, TrajectorySchema};
+use costate::low_level::result::{Stored, TrajectorySchema};
 use costate::run::{
     LawFiles, Provenance, RunError, evaluate as evaluated, fit_stored, write_attenuation,
     write_study,
@@ -131,22 +131,6 @@ impl Numerics {
     }
 }
 
-/// Puts a file in place, with the record of what made it.
-fn finish(
-    session: &Session<'_>,
-    file: ResultFile,
-    provenance: &Provenance,
-) -> Result<PathBuf, CliError> {
-    let integrator = &session.scene().model.integrator;
-    let record = RunRecord {
-        rtol: session.choices.rtol.unwrap_or(integrator.rtol),
-        atol: integrator.atol,
-        ..session.record(provenance)
-    };
-    record.write(&file)?;
-    Ok(file.finish()?)
-}
-
 /// What was made: the file, a summary, and whether it was ended before all was done.
 type Made = (PathBuf, Value, bool);
 
@@ -224,7 +208,7 @@ pub fn study(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<
         let mut file = ResultFile::create(&out)?;
         let variants = session.study()?;
         let stopped = write_study(session, &mut file, &variants, provenance)?;
-        let path = finish(session, file, provenance)?;
+        let path = session.finish(file, provenance)?;
         Ok((
             path,
             json!(study_rows(&session.scene().model, &variants)),
@@ -240,7 +224,7 @@ pub fn attenuation(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyR
         let mut file = ResultFile::create(&out)?;
         let found = session.attenuation()?;
         write_attenuation(&mut file, &session.scene().model, &found)?;
-        let path = finish(session, file, provenance)?;
+        let path = session.finish(file, provenance)?;
         Ok((path, json!(AttenuationSummary::new(&found)), false))
     })
 }
@@ -275,26 +259,16 @@ pub fn simulate(
             (Some(name), None) => Some(ControlledBy::Law(name)),
             (None, None) => None,
         },
+        cycle,
     };
     how.compute(py, scene, |session, provenance| {
         let mut file = ResultFile::create(&out)?;
         let model = &session.scene().model;
         let axes = TrajectorySchema::axes(model);
-        let cycle = cycle.or(model.simulation.as_ref().and_then(|s| s.cycle));
-        let (mut from, mut cycles) = (x.clone(), None);
-        if let Some(events) = cycle {
-            let near = session.starts(x.as_deref())?;
-            let found = session.cycles(Some(&near), events, &options)?;
-            from = Some(session.begins(&near, &found));
-            cycles = Some((events, found));
-        }
-        let simulated = session.simulate(from.as_deref(), &options)?;
+        let simulated = session.simulate(x.as_deref(), &options)?;
         let backend = session.backend();
         file.simulation(&axes, &simulated, (backend.name(), &backend.adapter()))?;
-        if let Some((events, cycles)) = &cycles {
-            file.cycles(&axes, cycles, *events)?;
-        }
-        let path = finish(session, file, provenance)?;
+        let path = session.finish(file, provenance)?;
         Ok((path, json!({ "status": simulated.by_status() }), false))
     })
 }

@@ -3,10 +3,19 @@
 use crate::error::raised;
 use costate::Stored;
 use costate::low_level::model::{Model, Variable};
+use costate::session::SimulationOptions;
 use costate_cli::Checked;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
+
+type Simulation = (
+    Vec<f64>,
+    Option<f64>,
+    Option<usize>,
+    Option<usize>,
+    Option<usize>,
+);
 
 /// A scene with its equations.
 #[pyclass(frozen, module = "pycostate._engine")]
@@ -16,17 +25,14 @@ pub struct Scene {
     text: String,
     #[pyo3(get)]
     file_name: String,
-    #[pyo3(get)]
-    set: Vec<(String, String)>,
 }
 
 impl Scene {
-    pub fn of(inner: costate::Scene, set: Vec<(String, String)>) -> Self {
+    pub fn of(inner: Arc<costate::Scene>) -> Self {
         Self {
             text: inner.model.text.clone(),
             file_name: inner.model.file_name.clone(),
-            inner: Arc::new(inner),
-            set,
+            inner,
         }
     }
 
@@ -41,7 +47,7 @@ impl Scene {
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf, set: Vec<(String, String)>) -> PyResult<Self> {
         match costate::Scene::load_with(&path, &set) {
-            Ok(inner) => Ok(Self::of(inner, set)),
+            Ok(inner) => Ok(Self::of(Arc::new(inner))),
             Err(e) => Err(raised(py, e)),
         }
     }
@@ -50,9 +56,15 @@ impl Scene {
     #[staticmethod]
     fn parse(py: Python<'_>, text: &str, name: &str, set: Vec<(String, String)>) -> PyResult<Self> {
         match costate::Scene::parse_with(text, name, &set) {
-            Ok(inner) => Ok(Self::of(inner, set)),
+            Ok(inner) => Ok(Self::of(Arc::new(inner))),
             Err(e) => Err(raised(py, e)),
         }
+    }
+
+    /// Definitions of parameters in place of the text's.
+    #[getter]
+    fn set(&self) -> Vec<(String, String)> {
+        self.model().overrides.clone()
     }
 
     #[getter]
@@ -101,6 +113,16 @@ impl Scene {
         (model.time_name().to_owned(), model.final_time())
     }
 
+    /// What a simulation does unless it is told otherwise: states that it begins with, row by row,
+    /// how long it lasts, events after which a flight ends, stored points of a phase, whether it looks
+    /// for an orbit.
+    fn simulation(&self, py: Python<'_>) -> PyResult<Simulation> {
+        let starts = costate::Session::new(&self.inner).starts(None);
+        let starts = starts.map_err(|e| raised(py, e))?;
+        let asked = SimulationOptions::default().or_of(self.model());
+        Ok((starts, asked.time, asked.events, asked.samples, asked.cycle))
+    }
+
     /// A header of C of the series about the equilibrium.
     fn local_to_c(&self, py: Python<'_>, name: &str, degree: usize) -> PyResult<String> {
         let inner = Arc::clone(&self.inner);
@@ -133,6 +155,5 @@ fn described(variable: &Variable) -> (String, String, String) {
 #[pyfunction]
 pub fn scene_of_file(py: Python<'_>, file: PathBuf) -> PyResult<Scene> {
     let stored = Stored::open(&file).map_err(|e| raised(py, e))?;
-    let set = stored.scene.model.overrides.clone();
-    Ok(Scene::of(stored.scene, set))
+    Ok(Scene::of(Arc::new(stored.scene)))
 }

@@ -1,24 +1,34 @@
 //! A scene's equations as functions of arrays: for laws that are functions of Python.
 
+use crate::error::of_input;
 use crate::scene::Scene;
 use costate::low_level::expr::Id;
+use costate::low_level::hybrid::{lost_contact, sizes};
 use costate::low_level::program::Program;
+use costate::session::some_states;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 
-/// x', L and the guards of states and controls; disturbances are 0.
+/// x', L, and what flights meet: events, then guards of states; disturbances are 0.
 #[pyclass(frozen, module = "pycostate._engine")]
 pub struct System {
     /// Of (x, u): x', then L.
     rates: Program,
-    /// Of x: positive inside.
-    guards: Program,
+    /// Of (x, u): conditions, positive until they come true; their rates; where they count, which is
+    /// where this is not negative.
+    conditions: Program,
+    /// Of x, an event's: the state after it, and what contacts keep, after and before. `None`: the
+    /// flight ends.
+    maps: Vec<Option<Program>>,
     states: usize,
     controls: usize,
     #[pyo3(get)]
-    guard_names: Vec<String>,
-    #[pyo3(get)]
     events: Vec<String>,
+    #[pyo3(get)]
+    guards: Vec<String>,
+    /// Sizes of conditions over the region.
+    #[pyo3(get)]
+    sizes: Vec<f64>,
     /// (min, max) of each control.
     #[pyo3(get)]
     bounds: Vec<(f64, f64)>,
@@ -39,19 +49,45 @@ impl System {
         }
         let x: Vec<Id> = model.states.iter().map(|s| s.variable.symbol).collect();
         let u: Vec<Id> = model.controls.iter().map(|c| c.variable.symbol).collect();
+        let both = [x.as_slice(), &u].concat();
+
         let rates = (model.dynamics.iter())
             .map(|f| f.expr)
             .chain([model.running.expr]);
         let rates = graph.substitute(&rates.collect::<Vec<Id>>(), &numbers);
-        let guards: Vec<Id> = model.guards.iter().map(|g| g.condition.expr).collect();
-        let guards = graph.substitute(&guards, &numbers);
+
+        let everywhere = graph.constant(1.0);
+        let events = model.events.iter().map(|e| (e.ahead, e.only));
+        let guards = model.guards.iter().map(|g| (g.condition.expr, None));
+        let (ahead, only): (Vec<Id>, Vec<Id>) = events
+            .chain(guards)
+            .map(|(ahead, only)| (ahead, only.unwrap_or(everywhere)))
+            .unzip();
+        let [ahead, only] = [ahead, only].map(|all| graph.substitute(&all, &numbers));
+        let moving = x.iter().copied().zip(rates.iter().copied()).collect();
+        let slopes = graph.tangents(&ahead, &moving);
+        let sizes = sizes(&mut graph, &ahead, &x, &some_states(model));
+        let conditions = [ahead, slopes, only].concat();
+
+        let maps = (model.events.iter())
+            .map(|event| {
+                let map = event.map.as_ref()?.iter().copied();
+                let after = event.kept.iter().map(|kept| kept.after);
+                let before = event.kept.iter().map(|kept| kept.before);
+                let all: Vec<Id> = map.chain(after).chain(before).collect();
+                let all = graph.substitute(&all, &numbers);
+                Some(Program::lower(&graph, &x, &all))
+            })
+            .collect();
         Self {
-            rates: Program::lower(&graph, &[x.as_slice(), &u].concat(), &rates),
-            guards: Program::lower(&graph, &x, &guards),
+            rates: Program::lower(&graph, &both, &rates),
+            conditions: Program::lower(&graph, &both, &conditions),
+            maps,
             states: x.len(),
             controls: u.len(),
-            guard_names: model.guards.iter().map(|g| g.name.clone()).collect(),
             events: model.events.iter().map(|e| e.name.clone()).collect(),
+            guards: model.guards.iter().map(|g| g.name.clone()).collect(),
+            sizes,
             bounds: (model.controls.iter())
                 .map(|c| {
                     (
@@ -70,35 +106,54 @@ impl System {
         x: PyReadonlyArray2<'py, f64>,
         u: PyReadonlyArray2<'py, f64>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        self.of_both(py, &self.rates, &x, &u)
+    }
+
+    /// `[state][condition]` of conditions, then their rates, then where they count.
+    fn conditions<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray2<'py, f64>,
+        u: PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        self.of_both(py, &self.conditions, &x, &u)
+    }
+
+    /// The state after an event, and whether a contact no longer holds in it; `None` where the event
+    /// ends the flight.
+    #[allow(clippy::needless_pass_by_value, reason = "as Python gives it")]
+    fn jump(&self, event: usize, x: Vec<f64>) -> Option<(Vec<f64>, bool)> {
+        let mut after = self.maps.get(event)?.as_ref()?.eval(&x);
+        let kept = after.split_off(self.states);
+        let (now, before) = kept.split_at(kept.len() / 2);
+        let is_lost = lost_contact(now, before).is_some();
+        Some((after, is_lost))
+    }
+}
+
+impl System {
+    fn of_both<'py>(
+        &self,
+        py: Python<'py>,
+        program: &Program,
+        x: &PyReadonlyArray2<'py, f64>,
+        u: &PyReadonlyArray2<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let (x, u) = (x.as_slice()?, u.as_slice()?);
         if x.len() / self.states * self.controls != u.len() {
             let message = "as many controls as states are needed";
-            return Err(crate::error::of_input(py, message));
+            return Err(of_input(py, message));
         }
-        let rates = py.detach(|| {
-            let mut all = Vec::with_capacity(x.len() / self.states * (self.states + 1));
+        let all = py.detach(|| {
+            let mut all = Vec::new();
             let mut both = vec![0.0; self.states + self.controls];
             for (k, x) in x.chunks_exact(self.states).enumerate() {
                 both[..self.states].copy_from_slice(x);
                 both[self.states..].copy_from_slice(&u[k * self.controls..][..self.controls]);
-                all.extend(self.rates.eval(&both));
+                all.extend(program.eval(&both));
             }
             all
         });
-        Ok(rates.into_pyarray(py))
-    }
-
-    /// `[state][guard]` at states, row by row.
-    fn guards<'py>(
-        &self,
-        py: Python<'py>,
-        x: PyReadonlyArray2<'py, f64>,
-    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let x = x.as_slice()?;
-        let all: Vec<f64> = x
-            .chunks_exact(self.states)
-            .flat_map(|x| self.guards.eval(x))
-            .collect();
         Ok(all.into_pyarray(py))
     }
 }

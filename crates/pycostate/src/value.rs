@@ -1,6 +1,7 @@
 //! V, p and u at any state, of a result file.
 
 use crate::error::{of_input, raised};
+use crate::scene::Scene;
 use costate::backend::Backend;
 use costate::backend::cpu::Cpu;
 use costate::low_level::hdf5::ResultFile;
@@ -13,12 +14,13 @@ use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// V, p and u at any state.
 #[pyclass(frozen, module = "pycostate._engine")]
 pub struct Value {
     map: ValueMap,
-    scene: costate::Scene,
+    of: Arc<costate::Scene>,
     #[pyo3(get)]
     file: PathBuf,
 }
@@ -34,7 +36,14 @@ impl Value {
             Ok::<_, CliError>((map, stored.scene))
         });
         let (map, scene) = read.map_err(|e| raised(py, e))?;
-        Ok(Self { map, scene, file })
+        let of = Arc::new(scene);
+        Ok(Self { map, of, file })
+    }
+
+    /// The scene that the result is of.
+    #[getter]
+    fn scene(&self) -> Scene {
+        Scene::of(Arc::clone(&self.of))
     }
 
     /// Whether V depends on the time.
@@ -76,7 +85,7 @@ impl Value {
                 Some(axes) => Places::Grid(axes),
                 None => Places::Points(x),
             };
-            let model = &self.scene.model;
+            let model = &self.of.model;
             let named = self.has_time().then(|| Times {
                 name: model.time_name(),
                 t,
@@ -145,7 +154,7 @@ impl Value {
         };
         out.set_item("V", number(&|v| v.v))?;
         out.set_item("p", row(n, &|v| &v.p))?;
-        out.set_item("u", row(self.scene.model.controls.len(), &|v| &v.u))?;
+        out.set_item("u", row(self.of.model.controls.len(), &|v| &v.u))?;
         out.set_item("V_error", number(&|v| v.v_error))?;
         out.set_item("p_error", number(&|v| v.p_error))?;
         out.set_item("u_error", number(&|v| v.u_error))?;

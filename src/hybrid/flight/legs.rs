@@ -4,17 +4,14 @@
 use super::{End, Flight, Flights, MOST_SHORT, Options, SHORT, Simulator};
 use crate::backend::{BackendError, Run, Status, Trajectories, batch_limit};
 use crate::hybrid::between::{Point, crossing, points, suspect};
-use crate::hybrid::watch::{Grain, Here, Watch};
-use crate::model::Precision;
+use crate::hybrid::watch::{Grain, Here, LOCATED, Watch};
 use std::collections::BTreeMap;
 
 /// Newton's corrections of an event's time; it is located when one is this small, relative to the
 /// phase.
 const CORRECTIONS: usize = 20;
-const LOCATED: f64 = 1e-13;
 /// Where the tolerance of a step keeps corrections from falling that far, the last must be below so many
-/// of these; and what is this many roundings of a condition from its surface lies on it.
-const ROUNDINGS: f64 = 64.0;
+/// of these.
 const TOLERANCES: f64 = 10.0;
 /// Share of a condition's size from which short flights lead to its surface.
 const NEAR: f64 = 1e-3;
@@ -43,13 +40,6 @@ struct Suspect {
     at: f64,
     /// The stored point before it, and when: flights begin there.
     from: (Vec<f64>, f64),
-}
-
-impl Here {
-    /// What is no nearer to the surface of an event than this, after a phase so long, may be on it.
-    pub(super) fn rounding(&self, precision: Precision, flown: f64) -> f64 {
-        ROUNDINGS * precision.epsilon() * self.size + self.slope.abs() * 2.0 * LOCATED * flown
-    }
 }
 
 /// Something that happened between the ends of steps.
@@ -514,8 +504,9 @@ impl Simulator {
             open = still;
         }
         self.polish(at, &run, options, flights)?;
+        let grain = self.grain(options);
         for sought in at {
-            self.settle(sought, options);
+            self.settle(sought, grain);
         }
         Ok(())
     }
@@ -585,7 +576,7 @@ impl Simulator {
     }
 
     /// The nearest state that was found is the event's, if it is one.
-    fn settle(&self, sought: &mut Sought<'_>, options: &Options) {
+    fn settle(&self, sought: &mut Sought<'_>, grain: Grain) {
         let Some(best) = sought.best.take() else {
             return;
         };
@@ -597,7 +588,7 @@ impl Simulator {
         let near = here.ahead.abs() <= here.rounding(self.precision, flown);
         let comes = here.slope <= 0.0;
         // What rounding makes of an event right after another one, or of bounces lower than that.
-        let again = flight.after == Some(sought.event) && here.is_flat(self.grain(options));
+        let again = flight.after == Some(sought.event) && here.is_flat(grain);
         flight.end = match flown <= SHORT * flight.t || again {
             _ if near && comes => None,
             true => Some(End::Zeno),

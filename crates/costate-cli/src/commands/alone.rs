@@ -9,7 +9,6 @@ use crate::terminal::Terminal;
 use costate::backend::Backend;
 use costate::low_level::hdf5::ResultFile;
 use costate::low_level::model::Model;
-use costate::low_level::result::RunRecord;
 use costate::run::{Provenance, output_of};
 use costate::scene::Scene;
 use costate::session::{Session, SessionError};
@@ -83,13 +82,6 @@ impl Alone {
 
     /// Puts the file in place, with the record of the run; its path.
     pub fn finish(&self, session: &Session<'_>, file: ResultFile) -> Result<PathBuf, CliError> {
-        let model = &self.scene.model;
-        let record = RunRecord {
-            rtol: self.numerics.rtol.unwrap_or(model.integrator.rtol),
-            atol: model.integrator.atol,
-            ..session.record(&self.provenance)
-        };
-        record.write(&file)?;
-        Ok(file.finish()?)
+        Ok(session.finish(file, &self.provenance)?)
     }
 }

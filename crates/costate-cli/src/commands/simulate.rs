@@ -17,26 +17,13 @@ pub fn simulate(args: &SimulateArgs) -> Result<(), CliError> {
         |_| Ok(()),
     )?;
     let (model, terminal) = (&begun.scene.model, &begun.terminal);
-    let given = initial(args, &begun)?;
+    let from = initial(args, &begun)?;
     let options = options(args)?;
-    let cycle =
-        (args.cycle.map(|n| n as usize)).or(model.simulation.as_ref().and_then(|s| s.cycle));
     let ending = Ending::of_simulation(args, &begun.provenance);
     let backend = args.numerics.open(model)?;
     let session = begun.session(backend).until(ending.deadline);
 
     let mut file = begun.create(args.out.as_deref(), "_simulation")?;
-
-    // An orbit is where a flight begins, if one is wanted and found.
-    let (mut cycles, mut from) = (None, given.clone());
-    if let Some(events) = cycle {
-        let near = session.starts(given.as_deref())?;
-        let found = session
-            .cycles(Some(&near), events, &options)
-            .map_err(|e| ending.nothing_of(e))?;
-        from = Some(session.begins(&near, &found));
-        cycles = Some((events, found));
-    }
     let simulated = session
         .simulate(from.as_deref(), &options)
         .map_err(|e| ending.nothing_of(e))?;
@@ -44,15 +31,11 @@ pub fn simulate(args: &SimulateArgs) -> Result<(), CliError> {
     let axes = TrajectorySchema::axes(model);
     let (name, adapter) = (session.backend().name(), session.backend().adapter());
     file.simulation(&axes, &simulated, (name, &adapter))?;
-    if let Some((events, cycles)) = &cycles {
-        file.cycles(&axes, cycles, *events)?;
-    }
     let path = begun.finish(&session, file)?;
 
     let shown = text::simulated::Shown {
         model,
         simulated: &simulated,
-        cycles: cycles.as_ref().map(|(_, all)| all.as_slice()),
     };
     terminal.say(&shown.text())?;
     let seconds = begun.provenance.seconds();
@@ -89,5 +72,6 @@ fn options(args: &SimulateArgs) -> Result<SimulationOptions, CliError> {
         events: args.events.map(|n| n as usize),
         samples: args.samples.map(|n| n as usize),
         law,
+        cycle: args.cycle.map(|n| n as usize),
     })
 }

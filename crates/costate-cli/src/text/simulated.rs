@@ -16,10 +16,13 @@ const MOST_EVENTS: usize = 12;
 pub struct Shown<'a> {
     pub model: &'a Model,
     pub simulated: &'a Simulated,
-    pub cycles: Option<&'a [Result<Cycle, CycleError>]>,
 }
 
 impl Shown<'_> {
+    fn cycles(&self) -> Option<&[Result<Cycle, CycleError>]> {
+        Some(&self.simulated.cycles.as_ref()?.found)
+    }
+
     fn names(&self) -> impl Iterator<Item = &str> {
         let states = self.model.states.iter();
         states.map(|s| s.variable.name.as_str())
@@ -45,7 +48,7 @@ impl Shown<'_> {
                 None => "held".to_owned(),
             }
         )];
-        for (k, found) in self.cycles.unwrap_or_default().iter().enumerate() {
+        for (k, found) in self.cycles().unwrap_or_default().iter().enumerate() {
             lines.push(self.cycle(k, found));
         }
         let ends = simulated.by_status();
@@ -100,7 +103,7 @@ impl Shown<'_> {
     }
 
     fn cycle(&self, k: usize, found: &Result<Cycle, CycleError>) -> String {
-        let which = match self.cycles.map_or(0, <[_]>::len) {
+        let which = match self.cycles().map_or(0, <[_]>::len) {
             1 => "orbit".to_owned(),
             _ => format!("orbit near state {}", k + 1),
         };
@@ -183,7 +186,7 @@ impl Shown<'_> {
                 })
             })
             .collect();
-        let cycles = self.cycles.map(|cycles| {
+        let cycles = self.cycles().map(|cycles| {
             let one = |found: &Result<Cycle, CycleError>| match found {
                 Ok(cycle) => json!({
                     "x": state(&cycle.start), "period": cycle.period,
@@ -218,10 +221,11 @@ fn complex([re, im]: [f64; 2]) -> String {
     let size = re.hypot(im);
     match im.abs() > 1e-9 * size {
         true => format!(
-            "{re:.9} {} {:.9} i (size {size:.9})",
+            "{} {} {:.9} i (size {size:.9})",
+            number(re, 9),
             if im < 0.0 { "-" } else { "+" },
             im.abs()
         ),
-        false => format!("{:.9}", re + 0.0),
+        false => number(re, 9),
     }
 }

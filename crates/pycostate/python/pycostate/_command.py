@@ -16,7 +16,7 @@ _ERRORS = {2: InputError, 75: OutOfTime}
 
 
 def command(*arguments) -> str:
-    """Runs ``costate ARGUMENTS...`` and returns what it prints.
+    """Runs ``costate`` with ``arguments`` and returns what it prints.
 
     >>> print(pycostate.command("reference", "scene"))
 
@@ -56,7 +56,7 @@ def adapters() -> list[dict]:
 
 
 def import_urdf(robot, out=None):
-    """A scene's text of a robot in URDF, with remarks as warnings; also written to ``out``."""
+    """A scene's text of a ``robot`` in URDF (a file), with remarks as warnings; also written to ``out``."""
     import warnings
 
     from .errors import CostateWarning
@@ -86,6 +86,7 @@ def check_least(result, *, nodes=(), margin=None, seconds=None, apart=None, back
         For the grid.
     apart : float
         The grid and V are apart where they differ by more than this share of V.
+    backend : {"auto", "cpu", "gpu"}
     """
     from . import _files
 

@@ -2,7 +2,8 @@
 
 All flights are one batch: the function is called with the states of all, a stage of a step at a time, so
 that its cost is that of arrays. J. R. Dormand and P. J. Prince, J. Comput. Appl. Math. 6 (1980), 19-26,
-orders 5 and 4, each flight with the smallest step that one of them needs.
+orders 5 and 4, each flight with steps of its own. Where the condition of an event comes true in a step, the
+step is taken again, shorter, until it ends there.
 """
 
 from __future__ import annotations
@@ -19,9 +20,33 @@ _STAGES = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
-_NAMES = {0: "time", 9: "step_floor", 10: "step_limit", 11: "not_finite"}
+#: How flights end, by the engine's codes.
+_TIME, _EVENTS, _ZENO, _NOT_LOCATED, _NO_STATE, _NO_CONDITION = range(6)
+_STEP_FLOOR, _STEP_LIMIT, _NOT_FINITE, _CONTACT_LOST = 9, 10, 11, 12
 _FIRST_EVENT = 16
+_NAMES = {
+    _TIME: "time",
+    _EVENTS: "events",
+    _ZENO: "zeno",
+    _NOT_LOCATED: "not_located",
+    _NO_STATE: "no_state",
+    _NO_CONDITION: "no_condition",
+    _STEP_FLOOR: "step_floor",
+    _STEP_LIMIT: "step_limit",
+    _NOT_FINITE: "not_finite",
+    _CONTACT_LOST: "contact_lost",
+}
 _MOST_STEPS = 1_000_000
+#: Steps shorter than this, relative to the whole time, are none.
+_FLOOR = 1e-14
+#: What cannot be computed is tried with steps down to this, and so are conditions that may come true
+#: and false again in a step.
+_LEAST, _LEAST_LOOK = 1e-10, 1e-6
+#: A condition is on its surface within this, relative to its size.
+_TOUCH = 1e-12
+#: So many phases in a row, shorter than this share of the time so far, are too many.
+_MOST_SHORT, _SHORT = 20, 1e-9
+_CORRECTIONS = 100
 
 
 def _checked(law, states, controls):
@@ -47,140 +72,357 @@ def _checked(law, states, controls):
     return call
 
 
-def fly(problem, system, law, x0, time, samples, rtol, tell):
-    """Simulates from ``x0`` (flights, states) for ``time``; returns what a file would hold.
+class _Flights:
+    """Flights as arrays: each has a time, a step and a phase of its own."""
 
-    Flights end where a guard is left (to the tolerance), or the state is no longer finite.
-    """
+    def __init__(self, problem, system, law, x0, *, time, events, samples, rtol):
+        import numpy as np
+
+        self.system, self.time, self.rtol, self.most = system, time, rtol, events
+        self.n, self.m = len(problem.states), len(problem.controls)
+        self.bounds = np.array(system.bounds, dtype=float).reshape(self.m, 2)
+        self.widths = np.array([hi - lo for lo, hi in problem.region.values()])
+        self.touch = _TOUCH * np.array(system.sizes, dtype=float)
+        #: Of conditions: those that follow are guards, which hold on their surface.
+        self.jumps_at = len(system.events)
+        self.law = _checked(law, self.n, self.m)
+        self.stops = np.linspace(0.0, time, samples + 1)[1:] if samples else np.array([time])
+        self.keeps = samples > 0
+
+        count, conditions = len(x0), len(self.touch)
+        self.y = np.hstack([x0, np.zeros((count, 1))])
+        self.t = np.zeros(count)
+        self.step = np.full(count, min(1e-3 * time, self.stops[0]))
+        self.steps = np.zeros(count, dtype=int)
+        self.stop = np.zeros(count, dtype=int)
+        self.alive = np.ones(count, dtype=bool)
+        self.status = np.zeros(count, dtype=np.int32)
+        self.phase = np.zeros(count, dtype=np.int32)
+        self.begun = np.zeros(count)
+        self.short = np.zeros(count, dtype=int)
+        #: Conditions at the last step's end, and their rates; which are waited for; which of these have
+        #: not left their surface yet.
+        self.ahead = np.zeros((count, conditions))
+        self.slope = np.zeros((count, conditions))
+        self.armed = np.zeros((count, conditions), dtype=bool)
+        self.fresh = np.zeros((count, conditions), dtype=bool)
+        self.samples: list = []
+        self.jumps: list = []
+        for flight in range(count):
+            self.keep(flight)
+        self.begin(np.arange(count))
+
+    def controls(self, x):
+        import numpy as np
+
+        u = np.clip(self.law(x), self.bounds[:, 0], self.bounds[:, 1])
+        return np.ascontiguousarray(u)
+
+    def rates(self, y):
+        """Of the states and the cost so far; the controls."""
+        import numpy as np
+
+        x = np.ascontiguousarray(y[:, : self.n])
+        u = self.controls(x)
+        return self.system.rates(x, u).reshape(-1, self.n + 1), u
+
+    def conditions(self, x, u):
+        """Conditions, positive until they come true; their rates; where they count."""
+        import numpy as np
+
+        found = self.system.conditions(np.ascontiguousarray(x), u)
+        return np.moveaxis(found.reshape(len(x), 3, len(self.touch)), 1, 0)
+
+    def keep(self, flight):
+        if self.keeps:
+            x = self.y[flight, : self.n].copy()
+            self.samples.append((flight, int(self.phase[flight]), self.t[flight], x))
+
+    def end(self, flight, code):
+        self.status[flight], self.alive[flight] = code, False
+
+    def is_met(self, ahead):
+        """Whether conditions are true; guards hold on their surface."""
+        import numpy as np
+
+        met = ahead <= 0
+        met[..., self.jumps_at :] = ahead[..., self.jumps_at :] < 0
+        return met & ~np.isnan(ahead)
+
+    # Phases.
+
+    def begin(self, flights):
+        """What flights wait for when a phase begins; some end there."""
+        import numpy as np
+
+        if not len(self.touch):
+            return
+        x = self.y[flights, : self.n]
+        ahead, slope, _ = self.conditions(x, self.controls(x))
+        on = abs(ahead) <= self.touch
+        self.ahead[flights], self.slope[flights] = ahead, slope
+        self.fresh[flights] = on & (slope > 0)
+        self.armed[flights] = np.where(on, slope > 0, ahead > 0)
+        outside = (ahead < -self.touch) | on & (slope < 0)
+        # Guards are asked for wherever a phase begins.
+        self.armed[flights, self.jumps_at :] = True
+        self.fresh[flights, self.jumps_at :] = on[:, self.jumps_at :]
+        for row, flight in enumerate(flights):
+            left = np.flatnonzero(outside[row, self.jumps_at :])
+            if np.isnan(ahead[row]).any():
+                self.end(flight, _NO_CONDITION)
+            elif left.size:
+                self.end(flight, _FIRST_EVENT + self.jumps_at + left[0])
+
+    def happen(self, flight, event, ahead, slope):
+        """An event at the end of a phase; ``ahead`` and ``slope`` are those of all conditions there."""
+        import numpy as np
+
+        before = self.y[flight, : self.n].copy()
+        self.keep(flight)
+        jump = self.system.jump(event, before.tolist())
+        if jump is None:
+            self.end(flight, _FIRST_EVENT + event)
+            return
+        after, is_lost = np.array(jump[0]), jump[1]
+        self.jumps.append((flight, event, self.t[flight], before, after))
+        self.y[flight, : self.n] = after
+        flown = self.t[flight] - self.begun[flight]
+        self.short[flight] = self.short[flight] + 1 if flown <= _SHORT * self.t[flight] else 0
+        self.phase[flight] += 1
+        self.begun[flight] = self.t[flight]
+        self.keep(flight)
+        # Others on their surface at this moment happen too, if the state still goes into them.
+        due = self.armed[flight] & (abs(ahead) <= self.touch) & (slope < 0)
+        due[event] = False
+        if not np.isfinite(after).all():
+            self.end(flight, _NO_STATE)
+        elif self.short[flight] >= _MOST_SHORT:
+            self.end(flight, _ZENO)
+        elif self.phase[flight] >= self.most:
+            self.end(flight, _EVENTS)
+        elif is_lost:
+            self.end(flight, _CONTACT_LOST)
+        if not self.alive[flight]:
+            return
+        x = after[None]
+        there, leaves, counts = (c[0] for c in self.conditions(x, self.controls(x)))
+        next_ = np.flatnonzero(
+            due & (abs(there) <= self.touch) & (leaves < 0) & ~(counts < 0)
+        )
+        self.begin(np.array([flight]))
+        if next_.size and self.alive[flight]:
+            self.armed[flight] = due
+            self.happen(flight, int(next_[0]), there, leaves)
+
+    # Steps.
+
+    def try_step(self, now, h):
+        """A step each: the end, its error, controls there."""
+        slopes: list = []
+        for weights in _STAGES:
+            at = now + h * sum((w * k for w, k in zip(weights, slopes)), 0 * now)
+            rates, u = self.rates(at)
+            slopes.append(rates)
+        return at, h * sum(w * k for w, k in zip(_ERROR, slopes)), u
+
+    def advance(self):
+        """One step of every flight that still flies, or a shorter one to be tried next."""
+        import numpy as np
+
+        rows = np.flatnonzero(self.alive)
+        self.steps[rows] += 1
+        floor = _FLOOR * self.time
+        over = self.steps[rows] > _MOST_STEPS
+        low = self.step[rows] < floor
+        for flight in rows[over | low]:
+            self.end(flight, self.why_so_short(flight))
+        rows = rows[~(over | low)]
+        if not rows.size:
+            return
+        to_stop = self.stops[self.stop[rows]] - self.t[rows]
+        stops = self.step[rows] >= to_stop
+        h = np.where(stops, to_stop, self.step[rows])
+        now = self.y[rows]
+        with np.errstate(all="ignore"):
+            after, error, u = self.try_step(now, h[:, None])
+            scale = self.widths + np.maximum(abs(now[:, : self.n]), abs(after[:, : self.n]))
+            off = np.sqrt(np.mean((error[:, : self.n] / (self.rtol * scale)) ** 2, axis=1))
+        ahead, slope, _ = self.conditions(after[:, : self.n], u)
+
+        # What is not finite, or no number, is tried with shorter steps first.
+        lost = ~np.isfinite(after).all(axis=1) | ~np.isfinite(off)
+        unknown = np.isnan(ahead).any(axis=1) & ~lost
+        bad = lost | unknown
+        ends = bad & (h <= _LEAST * self.time)
+        for row in np.flatnonzero(ends):
+            self.end(rows[row], _NOT_FINITE if lost[row] else _NO_CONDITION)
+        worst = np.where(bad, np.inf, off)
+        with np.errstate(all="ignore"):
+            factor = np.where(bad, 0.1, np.clip(0.9 * np.maximum(off, 1e-8) ** -0.2, 0.1, 5.0))
+        again = (worst > 1.0) & ~ends
+        self.step[rows[again]] = h[again] * np.minimum(factor[again], 0.9)
+
+        # So are steps in which a condition may come true and false again, or in which it has not left
+        # its surface.
+        met = self.is_met(ahead) & self.armed[rows]
+        fresh = self.fresh[rows]
+        returns = (met & fresh).any(axis=1)
+        dips = self.dips(rows, ahead, slope, h) & (h > _LEAST_LOOK * self.time)
+        closer = (returns | dips) & ~again & ~ends
+        self.step[rows[closer]] = 0.5 * h[closer]
+
+        good = ~(again | ends | closer)
+        crosses = good & met.any(axis=1)
+        calm = good & ~crosses
+        self.move(rows[calm], after[calm], ahead[calm], slope[calm])
+        self.t[rows[calm]] += h[calm]
+        self.step[rows[calm]] = (h * factor)[calm]
+        for flight in rows[calm & stops]:
+            self.t[flight] = self.stops[self.stop[flight]]
+            self.stop[flight] += 1
+            self.keep(flight)
+            if self.stop[flight] == len(self.stops):
+                self.end(flight, _TIME)
+        if crosses.any():
+            self.meet(rows[crosses], h[crosses], met[crosses])
+
+    def why_so_short(self, flight):
+        """Why steps of a flight are too many, or too short."""
+        import numpy as np
+
+        if self.steps[flight] > _MOST_STEPS:
+            return _STEP_LIMIT
+        fresh = np.flatnonzero(self.fresh[flight])
+        if not fresh.size:
+            return _STEP_FLOOR
+        # It cannot leave a surface that it is on.
+        return _ZENO if fresh[0] < self.jumps_at else _FIRST_EVENT + fresh[0]
+
+    def move(self, flights, after, ahead, slope):
+        self.y[flights] = after
+        self.ahead[flights], self.slope[flights] = ahead, slope
+        self.fresh[flights] &= ahead <= 0
+        self.armed[flights] |= ahead > 0
+
+    def dips(self, rows, ahead, slope, h):
+        """Whether the cubic through both ends of a step is below 0 in between, for conditions that are
+        waited for and true at neither end."""
+        import numpy as np
+
+        if not len(self.touch):
+            return np.zeros(len(rows), dtype=bool)
+        a, b = self.ahead[rows], ahead
+        p, q = h[:, None] * self.slope[rows], h[:, None] * slope
+        # a + p s + c s^2 + d s^3
+        c, d = 3 * (b - a) - 2 * p - q, p + q - 2 * (b - a)
+        waits = self.armed[rows] & (b > 0)
+        below = np.zeros_like(waits)
+        with np.errstate(all="ignore"):
+            root = np.sqrt(c * c - 3 * d * p)
+            for s in ((-c + root) / (3 * d), (-c - root) / (3 * d), -p / (2 * c)):
+                inside = (s > 0) & (s < 1)
+                below |= inside & (((d * s + c) * s + p) * s + a < -self.touch)
+        return (below & waits).any(axis=1)
+
+    def meet(self, flights, h, met):
+        """Steps in which conditions come true: to where the first does so."""
+        import numpy as np
+
+        count = len(flights)
+        now = self.y[flights]
+        size = np.where(met, self.touch / _TOUCH, 1.0)
+
+        def least(ahead):
+            return np.where(met, ahead / size, np.inf).min(axis=1)
+
+        low, high = np.zeros(count), np.ones(count)
+        g_low, g_high = least(self.ahead[flights]), np.full(count, -1.0)
+        # Illinois' method: the end that has stayed counts half; every third time the middle.
+        stayed = np.zeros(count, dtype=int)
+        share, found = np.ones(count), None
+        for turn in range(_CORRECTIONS):
+            with np.errstate(all="ignore"):
+                at, _, u = self.try_step(now, (share * h)[:, None])
+            ahead, slope, counts = self.conditions(at[:, : self.n], u)
+            g = least(ahead)
+            true = (self.is_met(ahead) & met).any(axis=1)
+            if found is None:
+                found = [at.copy(), ahead.copy(), slope.copy(), counts.copy()]
+            for stored, new in zip(found, (at, ahead, slope, counts)):
+                stored[true] = new[true]
+            g_low = np.where(true, np.where(stayed == 1, 0.5 * g_low, g_low), g)
+            g_high = np.where(true, g, np.where(stayed == -1, 0.5 * g_high, g_high))
+            stayed = np.where(true, 1, -1)
+            low, high = np.where(true, low, share), np.where(true, share, high)
+            narrow = (high - low) * h <= 2.0 ** -52 * (self.t[flights] + high * h)
+            if (narrow | (true & (abs(g) <= 2.0**-52))).all():
+                break
+            with np.errstate(all="ignore"):
+                share = low + (high - low) * g_low / (g_low - g_high)
+            middle = ~((share > low) & (share < high)) | (turn % 3 == 2)
+            share = np.where(middle, 0.5 * (low + high), share)
+
+        at, ahead, slope, counts = found
+        self.t[flights] += high * h
+        for row, flight in enumerate(flights):
+            first = np.argmin(np.where(met[row], ahead[row] / size[row], np.inf))
+            self.move(flight, at[row], ahead[row], slope[row])
+            self.step[flight] = min(self.step[flight], h[row])
+            if first >= self.jumps_at:
+                self.keep(flight)
+                self.end(flight, _FIRST_EVENT + first)
+            elif np.isnan(counts[row, first]):
+                self.end(flight, _NO_CONDITION)
+            elif counts[row, first] < 0:
+                # It is passed by.
+                self.armed[flight, first] = False
+            else:
+                self.happen(flight, int(first), ahead[row], slope[row])
+
+
+def fly(problem, system, law, x0, options, rtol, tell):
+    """Simulates from ``x0`` (flights, states); returns what a file would hold."""
     import numpy as np
 
-    if system.events:
-        raise InputError(
-            f"events ({', '.join(system.events)}) are for the engine's laws: write the law as [closed_loop.law], or fit one"
-        )
-    n, m = len(problem.states), len(problem.controls)
-    bounds = np.array(system.bounds, dtype=float).reshape(m, 2)
-    widths = np.array([hi - lo for lo, hi in problem.region.values()])
-    call = _checked(law, n, m)
+    time = options["time"]
+    flights = _Flights(problem, system, law, x0, rtol=rtol, **options)
+    while flights.alive.any():
+        flights.advance()
+        tell(min(1.0, flights.t[flights.alive].min(initial=time) / time))
 
-    def controls(x):
-        return np.clip(call(x), bounds[:, 0], bounds[:, 1])
+    kept = sorted(flights.samples, key=lambda s: s[0])
+    x = np.array([s[3] for s in kept]).reshape(len(kept), flights.n)
+    jumps = sorted(flights.jumps, key=lambda j: j[0])
 
-    def rates(y):
-        """Of the states and the cost so far."""
-        u = np.ascontiguousarray(controls(y[:, :n]))
-        x = np.ascontiguousarray(y[:, :n])
-        return system.rates(x, u).reshape(-1, n + 1)
+    def column(rows, k, dtype):
+        return np.array([row[k] for row in rows], dtype=dtype)
 
-    def margins(x):
-        return system.guards(np.ascontiguousarray(x)).reshape(len(x), len(system.guard_names))
+    def states(rows, k):
+        return column(rows, k, float).reshape(len(rows), flights.n)
 
-    count = len(x0)
-    y = np.hstack([x0, np.zeros((count, 1))])
-    status = np.zeros(count, dtype=np.int32)
-    t_end = np.full(count, float(time))
-    alive = np.ones(count, dtype=bool)
-    times = np.linspace(0.0, time, samples + 1) if samples else np.array([0.0, time])
-    kept = np.full((count, len(times), n), np.nan)
-    kept[:, 0] = x0
-    for k, guard in enumerate(margins(x0).T if system.guard_names else ()):
-        out = (guard < 0) & alive
-        status[out], t_end[out], alive[out] = _FIRST_EVENT + k, 0.0, False
-
-    floor = 1e-14 * time
-    step = min(1e-3 * time, times[1])
-    steps = 0
-    for place in range(1, len(times)):
-        t = times[place - 1]
-        while t < times[place] - floor and alive.any():
-            steps += 1
-            if steps > _MOST_STEPS or step < floor:
-                code = 10 if steps > _MOST_STEPS else 9
-                status[alive], t_end[alive], alive = code, t, alive & False
-                break
-            h = min(step, times[place] - t)
-            now = y[alive]
-            slopes = []
-            with np.errstate(all="ignore"):
-                for weights in _STAGES:
-                    at = now + h * sum((w * k for w, k in zip(weights, slopes)), 0 * now)
-                    slopes.append(rates(at))
-                after = at
-                error = h * sum(w * k for w, k in zip(_ERROR, slopes))
-                scale = rtol * (widths + np.maximum(abs(now[:, :n]), abs(after[:, :n])))
-                off = np.sqrt(np.mean((error[:, :n] / scale) ** 2, axis=1))
-            lost = ~np.isfinite(after).all(axis=1) | ~np.isfinite(off)
-            # What is not finite is tried with smaller steps first.
-            worst = np.inf if lost.any() and h > 1e-10 * time else off[~lost].max(initial=0.0)
-            if worst > 1.0:
-                step = h * max(0.1, 0.9 * worst**-0.2 if np.isfinite(worst) else 0.1)
-                continue
-            rows = np.flatnonzero(alive)
-            t += h
-            tell(t / time)
-            y[rows[~lost]] = after[~lost]
-            status[rows[lost]], t_end[rows[lost]], alive[rows[lost]] = 11, t - h, False
-            for k, row in _left(system, margins, now, after, slopes[0], slopes[-1], h, rows, n):
-                status[row[0]], t_end[row[0]], y[row[0], :n] = _FIRST_EVENT + k, t - h + row[1], row[2]
-                alive[row[0]] = False
-            step = h * min(5.0, 0.9 * max(worst, 1e-8) ** -0.2)
-        kept[alive, place] = y[alive, :n]
     return {
         "x0": x0,
-        "x_end": y[:, :n],
-        "J": y[:, n],
-        "t_end": t_end,
-        "status": status,
-        "times": times,
-        "x": kept,
-        "u": controls(kept.reshape(-1, n)).reshape(count, len(times), m)
-        if np.isfinite(kept).all()
-        else _controls_where_known(controls, kept, m),
+        "x_end": flights.y[:, : flights.n],
+        "J": flights.y[:, flights.n],
+        "t_end": flights.t,
+        "events": flights.phase,
+        "status": flights.status,
+        "samples": {
+            "flight": column(kept, 0, np.int32),
+            "phase": column(kept, 1, np.int32),
+            "t": column(kept, 2, float),
+            "x": x,
+            "u": flights.controls(x) if len(x) else np.zeros((0, flights.m)),
+        },
+        "jumps": {
+            "flight": column(jumps, 0, np.int32),
+            "event": column(jumps, 1, np.int32),
+            "t": column(jumps, 2, float),
+            "before": states(jumps, 3),
+            "after": states(jumps, 4),
+        },
     }
-
-
-def _controls_where_known(controls, x, m):
-    import numpy as np
-
-    u = np.full((*x.shape[:-1], m), np.nan)
-    known = np.isfinite(x).all(axis=-1)
-    if known.any():
-        u[known] = controls(x[known])
-    return u
-
-
-def _left(system, margins, now, after, before_rate, after_rate, h, rows, n):
-    """Guards that flights have left in a step: (guard, (flight, time in the step, state there)), by
-    bisection on the cubic through both ends."""
-    import numpy as np
-
-    if not system.guard_names:
-        return []
-    found = []
-    outside = (margins(after[:, :n]) < 0).any(axis=1) & np.isfinite(after).all(axis=1)
-    for j in np.flatnonzero(outside):
-        a, b = now[j, :n], after[j, :n]
-        p, q = h * before_rate[j, :n], h * after_rate[j, :n]
-
-        def at(s):
-            return (
-                (1 + 2 * s) * (1 - s) ** 2 * a
-                + s * (1 - s) ** 2 * p
-                + s**2 * (3 - 2 * s) * b
-                - s**2 * (1 - s) * q
-            )
-
-        low, high = 0.0, 1.0
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            if (margins(at(middle)[None]) < 0).any():
-                high = middle
-            else:
-                low = middle
-        x = at(high)
-        guard = int(np.argmin(margins(x[None])[0]))
-        found.append((guard, (rows[j], high * h, x)))
-    return found
 
 
 def tree(problem, system, done, time, name, rtol):
@@ -203,22 +445,27 @@ def tree(problem, system, done, time, name, rtol):
 
     states = described("state", problem._scene.states)
     controls = described("control", problem._scene.controls)
-    codes = {**_NAMES, **{_FIRST_EVENT + k: f"guard_{g}" for k, g in enumerate(system.guard_names)}}
-    flags = {
-        "long_name": "how the flight ended",
-        "flag_values": np.array(list(codes), dtype=np.int32),
-        "flag_meanings": " ".join(codes.values()),
-    }
-    count, places = done["x"].shape[:2]
+    names = [f"event_{e}" for e in system.events] + [f"guard_{g}" for g in system.guards]
+
+    def coded(long_name, codes):
+        return {
+            "long_name": long_name,
+            "flag_values": np.array(list(codes), dtype=np.int32),
+            "flag_meanings": " ".join(codes.values()),
+        }
+
+    ends = {**_NAMES, **{_FIRST_EVENT + k: name for k, name in enumerate(names)}}
+    happens = dict(enumerate(names[: len(system.events)]))
     simulation = xr.Dataset(
         {
             "x0": (("flight", "state"), done["x0"], {"long_name": "state at the beginning"}),
             "x_end": (("flight", "state"), done["x_end"], {"long_name": "state at the end"}),
             "t_end": ("flight", done["t_end"], {"long_name": "time at the end"}),
+            "events": ("flight", done["events"], {"long_name": "events at which the state jumped"}),
             "J": ("flight", done["J"], {"long_name": "running cost until the end"}),
-            "status": ("flight", done["status"], flags),
+            "status": ("flight", done["status"], coded("how the flight ended", ends)),
         },
-        coords={"flight": np.arange(count), **states},
+        coords={"flight": np.arange(len(done["x0"])), **states},
         attrs={
             "title": "flights forward in time under a law of Python",
             "time": float(time),
@@ -229,17 +476,30 @@ def tree(problem, system, done, time, name, rtol):
             "rtol": rtol,
         },
     )
-    known = np.isfinite(done["x"]).all(axis=-1)
-    flight, place = np.nonzero(known)
+    jumps = done["jumps"]
+    events = xr.Dataset(
+        {
+            "flight": ("jump", jumps["flight"], {"long_name": "index of the flight in /simulation"}),
+            "event": ("jump", jumps["event"], coded("which event", happens)),
+            "t": ("jump", jumps["t"], {"long_name": "time"}),
+            "before": (("jump", "state"), jumps["before"], {"long_name": "state before it"}),
+            "after": (("jump", "state"), jumps["after"], {"long_name": "state after it"}),
+        },
+        coords={"jump": np.arange(len(jumps["t"])), **states},
+        attrs={"title": "events of the flights of /simulation"},
+    )
+    kept = done["samples"]
     samples = xr.Dataset(
         {
-            "flight": ("sample", flight.astype(np.int32), {"long_name": "index of the flight in /simulation"}),
-            "phase": ("sample", np.zeros(len(flight), np.int32), {"long_name": "index of the phase within the flight"}),
-            "t": ("sample", done["times"][place], {"long_name": "time"}),
-            "x": (("sample", "state"), done["x"][known], {"long_name": "state"}),
-            "u": (("sample", "control"), done["u"][known], {"long_name": "control"}),
+            "flight": ("sample", kept["flight"], {"long_name": "index of the flight in /simulation"}),
+            "phase": ("sample", kept["phase"], {"long_name": "index of the phase within the flight"}),
+            "t": ("sample", kept["t"], {"long_name": "time"}),
+            "x": (("sample", "state"), kept["x"], {"long_name": "state"}),
+            "u": (("sample", "control"), kept["u"], {"long_name": "control"}),
         },
-        coords={"sample": np.arange(len(flight)), **states, **controls},
+        coords={"sample": np.arange(len(kept["t"])), **states, **controls},
         attrs={"title": "points of the flights of /simulation"},
     )
-    return xr.DataTree.from_dict({"/simulation": simulation, "/simulation_samples": samples})
+    return xr.DataTree.from_dict(
+        {"/simulation": simulation, "/simulation_events": events, "/simulation_samples": samples}
+    )

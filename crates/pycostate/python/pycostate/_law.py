@@ -17,9 +17,11 @@ if TYPE_CHECKING:
 
 
 class Law:
-    """A feedback law u(x).
+    """A feedback law u(x), as :meth:`Problem.fit` or :func:`load_law` makes it.
 
-    Calls take states as an array (..., states), or by name, and return an array (..., controls).
+    >>> law([0.5, -0.2]), law(theta=np.linspace(-1, 1, 11), omega=0.0)
+
+    ``problem`` is that whose states it is of.
     """
 
     def __init__(self, law, problem):
@@ -28,6 +30,7 @@ class Law:
 
     @property
     def name(self) -> str:
+        """Its name in the scene's ``[feedback]``."""
         return self._law.name
 
     @property
@@ -36,6 +39,19 @@ class Law:
         return tuple(self._law.outputs)
 
     def __call__(self, x=None, /, **states) -> np.ndarray:
+        """What it gives at states.
+
+        Parameters
+        ----------
+        x : array_like, shape (..., states)
+            States, absolute and in the scene's units; or by name, with the usual broadcasting (those
+            that are not named are at the equilibrium).
+
+        Returns
+        -------
+        numpy.ndarray, shape (..., outputs)
+            In the controls' units, within their bounds.
+        """
         rows, shape = states_of(self.problem, x, states)
         return self._law.eval(rows).reshape(shape + (-1,))
 
@@ -44,22 +60,29 @@ class Law:
         return self._law.to_toml()
 
     def to_c(self, path=None) -> str:
-        """A header of C without dependencies; also written to a file."""
+        """A header of C without dependencies; also written to the file ``path``."""
         text = self._law.to_c()
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text
 
     def to_onnx(self, path=None) -> bytes:
-        """An ONNX model; also written to a file."""
+        """An ONNX model, as bytes; also written to the file ``path``."""
         model = bytes(self._law.to_onnx())
         if path is not None:
             Path(path).write_bytes(model)
         return model
 
     def to_fmu(self, path, *, compiled=False) -> None:
-        """Writes an FMU (FMI 3.0, model exchange and co-simulation): states in, controls out, with the C
-        source inside. ``compiled``: also the binary for this machine (Linux, with a C compiler)."""
+        """Writes an FMU (FMI 3.0, model exchange and co-simulation): states in, controls out.
+
+        Parameters
+        ----------
+        path : path
+            The file, ``.fmu``; it has the C source inside.
+        compiled : bool
+            Also the binary for this machine (Linux, with a C compiler).
+        """
         from . import _fmu
 
         header = self.to_c()
@@ -80,7 +103,7 @@ class Law:
         )
 
     def save(self, path) -> None:
-        """Writes a file by its ending: ``.toml`` (weights), ``.h``, ``.onnx`` or ``.fmu``."""
+        """Writes the file ``path`` by its ending: ``.toml`` (weights), ``.h``, ``.onnx`` or ``.fmu``."""
         ending = Path(path).suffix.lower()
         if ending == ".onnx":
             self.to_onnx(path)
@@ -98,7 +121,7 @@ class Law:
 
 
 def load_law(path, problem: Problem) -> Law:
-    """The law of a weights file."""
+    """The law of a weights file (``path``, ``.toml``) for a ``problem`` with its states and controls."""
     path = Path(path)
     text = path.read_text(encoding="utf-8")
     return Law(_engine.Law.parse(path.stem, text, str(path), problem._scene), problem)

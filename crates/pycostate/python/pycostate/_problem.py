@@ -20,7 +20,6 @@ from ._value import Value
 from .errors import CostateWarning, InputError, Interrupted
 
 if TYPE_CHECKING:
-    import numpy as np
     import xarray as xr
 
 _NUMERICS: dict[str, Any] = {
@@ -154,13 +153,13 @@ class Problem:
 
     @classmethod
     def load(cls, path, **set) -> Problem:
-        """Reads a scene's file; ``set`` are parameters in place of the file's (numbers, or expressions
-        of earlier parameters)."""
+        """Reads a scene's file, ``path``; ``set`` are parameters in place of the file's (numbers, or
+        expressions of earlier parameters)."""
         return cls._of(_engine.Scene.load(os.fspath(path), _assignments(set)))
 
     @classmethod
     def parse(cls, text: str, name: str = "scene.toml", **set) -> Problem:
-        """Reads a scene's text."""
+        """Reads a scene's ``text``, with ``set`` as in :meth:`load`; ``name`` is what errors call it."""
         return cls._of(_engine.Scene.parse(text, name, _assignments(set)))
 
     @classmethod
@@ -230,6 +229,7 @@ class Problem:
 
     @property
     def title(self) -> str:
+        """The scene's title."""
         return self._scene.title
 
     @property
@@ -258,7 +258,7 @@ class Problem:
         return {n: tuple(b) for n, b in zip(self.states, self._scene.region)}
 
     def save(self, path) -> None:
-        """Writes the scene's file."""
+        """Writes the scene's file, ``path``."""
         Path(path).write_text(self.text, encoding="utf-8")
 
     def __repr__(self):
@@ -341,13 +341,33 @@ class Problem:
     def sweep(self, *, out=None, keep="all", **numerics) -> xr.Dataset:
         """Trajectories outward from the equilibrium (or the terminal cost): the result file's
         ``/trajectories`` as an ``xarray.Dataset`` with t, x, p, u, V, H over (trajectory, sample) and
-        their components."""
+        their components.
+
+        Parameters
+        ----------
+        out : path
+            The result file; without it there is none that lasts.
+        keep : {"all", "values", "nothing"}
+            What is kept of them: with "values" x and V alone.
+        **numerics
+            The options of :meth:`using`.
+        """
         options = {"kept": keep}
         return self._run("sweep", None, options, numerics, out, "trajectories")
 
     def homotopy(self, *, out=None, grid_guesses=False, **numerics) -> xr.DataTree:
         """V, p and u at the states that ``[homotopy]`` and ``[map]`` of the scene ask for: a DataTree
-        with ``points``, ``points_sheets`` and ``map``."""
+        with ``points``, ``points_sheets`` and ``map``.
+
+        Parameters
+        ----------
+        out : path
+            The result file; without it there is none that lasts.
+        grid_guesses : bool
+            First guesses also come from V on a grid.
+        **numerics
+            The options of :meth:`using`.
+        """
         options = {"grid_guesses": grid_guesses}
         return self._run("homotopy", None, options, numerics, out, None)
 
@@ -376,6 +396,8 @@ class Problem:
             Values of states by name: each array of one dimension is a dimension of the result, numbers
             are coordinates without. States that are not named are at the equilibrium. Also the options
             of :meth:`using`.
+        out : path
+            The result file; without it there is none that lasts.
         one_sheet : bool
             One solution a state is enough: faster, but it may not be the least.
         trajectories : bool
@@ -420,6 +442,10 @@ class Problem:
         counts : int or dict
             Points along each axis of the grid that is returned (default: 101 in one and two states,
             fewer in more). Not for a scene's own grid.
+        out : path
+            The result file; without it there is none that lasts.
+        **numerics
+            The options of :meth:`using`.
 
         Returns
         -------
@@ -439,11 +465,12 @@ class Problem:
         tree = problem._run("homotopy", None, {}, numerics, out, None)
         file = _files.file_of(tree)
         if _files.has(file, "map_pieces"):
-            return Value(file, self.of(file)).grid(counts=counts)
+            return Value(file).grid(counts=counts)
         return _files.dataset(file, "map")
 
     def study(self, *, out=None, **numerics) -> xr.Dataset:
-        """The scene's ``[study]``: ``/study`` as a Dataset, one row a variant."""
+        """The scene's ``[study]``: ``/study`` as a Dataset, one row a variant. ``out`` is the result file;
+        ``numerics`` are the options of :meth:`using`."""
 
         def compute(path, how):
             return _engine.study(self._scene, path, how)
@@ -451,7 +478,8 @@ class Problem:
         return self._do(compute, numerics, out, "study")
 
     def attenuation(self, *, out=None, **numerics) -> xr.DataTree:
-        """The smallest levels of attenuation of the scene's ``[attenuation]``, as a DataTree."""
+        """The smallest levels of attenuation of the scene's ``[attenuation]``, as a DataTree. ``out`` is the
+        result file; ``numerics`` are the options of :meth:`using`."""
 
         def compute(path, how):
             return _engine.attenuation(self._scene, path, how)
@@ -479,8 +507,7 @@ class Problem:
             What controls: a fitted law, the name of one of the scene's (``"lqr"``), or any function of
             states (N, states) that gives controls (N, controls), such as ``p.value(m).u``. None: the
             scene's, or controls as they are at the equilibrium. A function is called by Python, a stage
-            of a step for all flights at once; controls are kept within their bounds, flights end where a
-            guard is left, and events are refused.
+            of a step for all flights at once; controls are kept within their bounds.
         x0 : array_like, Dataset
             States to begin with, as the points of :meth:`solve`; also by name.
         time : float
@@ -490,7 +517,10 @@ class Problem:
         samples : int
             Stored points of each phase.
         cycle : int
-            An orbit is looked for that comes back to itself after so many events.
+            An orbit is looked for that comes back to itself after so many events; 0: none. Not for
+            functions.
+        out : path
+            The result file; without it there is none that lasts. Not for functions.
 
         Returns
         -------
@@ -499,7 +529,8 @@ class Problem:
             were looked for. Under a function ``simulation`` has J, too, the running cost.
         """
         if callable(law) and not isinstance(law, Law):
-            return self._fly(law, x0, time, samples, events or cycle or out, states_and_numerics)
+            asked = {"time": time, "events": events, "samples": samples}
+            return self._fly(law, x0, asked, cycle, out, states_and_numerics)
         named = self._named(states_and_numerics)
         x = Places(self, x0, named).x if x0 is not None or named else None
         options = {"time": time, "events": events, "samples": samples, "cycle": cycle}
@@ -513,22 +544,23 @@ class Problem:
 
         return self._do(compute, states_and_numerics, out)
 
-    def _fly(self, law, x0, time, samples, others, states_and_numerics):
+    def _fly(self, law, x0, asked, cycle, out, states_and_numerics):
         from . import _functions
 
-        if others:
-            raise InputError("events, cycle and out are not for laws of Python")
+        if cycle or out is not None:
+            raise InputError("cycle and out are not for laws of Python")
         named = self._named(states_and_numerics)
-        system = _engine.System(self._scene)
-        given = _toml.loads(self.text).get("simulation", {})
+        starts, *own = self._scene.simulation()
+        options = {
+            name: given if asked[name] is None else asked[name]
+            for name, given in zip(("time", "events", "samples"), own)
+        }
+        if x0 is None and not named:
+            x0 = [starts[k : k + len(self.states)] for k in range(0, len(starts), len(self.states))]
         x = Places(self, x0, named).x
-        for value in (time, given.get("time"), self._scene.time[1]):
-            if value is not None:
-                time = value
-                break
+        time = options["time"]
         if time is None or not 0 < float(time) < float("inf"):
             raise InputError(f"time = {time}: how long to simulate?")
-        samples = given.get("samples", 50) if samples is None else int(samples)
         with self._how(states_and_numerics) as how:
             rtol = 1e-8 if how["rtol"] is None else float(how["rtol"])
 
@@ -536,7 +568,9 @@ class Problem:
                 if how["progress"] is not None:
                     how["progress"](f"simulated: {100 * share:.0f} %")
 
-            done = _functions.fly(self, system, law, x, float(time), samples, rtol, tell)
+            system = _engine.System(self._scene)
+            options = {"time": float(time), "events": int(options["events"]), "samples": int(options["samples"])}
+            done = _functions.fly(self, system, law, x, options, rtol, tell)
         name = getattr(law, "__qualname__", type(law).__name__)
         return _functions.tree(self, system, done, time, name, rtol)
 
@@ -557,6 +591,10 @@ class Problem:
             So many initial states at random.
         solve : bool
             V at the initial states is solved for.
+        out : path
+            The result file; without it there is none that lasts.
+        **numerics
+            The options of :meth:`using`.
         """
         stored = None if result is None else _files.file_of(result)
         options = {
@@ -573,8 +611,8 @@ class Problem:
         return self._do(compute, numerics, out)
 
     def local_to_c(self, path=None, *, degree=3, name="local") -> str:
-        """The series of V and u about the equilibrium, u of a degree, as a header of C; also written to
-        a file."""
+        """The series of V and u about the equilibrium, u of a ``degree`` from 1 to 6, as a header of C whose
+        names begin with ``name``; also written to the file ``path``."""
         if degree not in range(1, 7):
             raise InputError(f"degree = {degree}: a whole number from 1 to 6")
         text = self._scene.local_to_c(identifier(name), int(degree))
@@ -588,6 +626,8 @@ class Problem:
 
         Parameters
         ----------
+        out : path
+            The result file; without it there is none that lasts.
         trajectories, passes : int
         **only
             ``backend``, ``adapter``, ``precision``, ``method``, ``rtol``: only these (method and rtol may
@@ -633,7 +673,7 @@ class Problem:
     def value(self, result) -> Value:
         """V, p and u at any state, interpolated from a result (a file, Dataset or DataTree)."""
         file = _files.file_of(result)
-        return Value(file, self.of(file))
+        return Value(file)
 
     def fit(
         self, result, *, names=None, starts=None, seed=None, directory=None, **numerics

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def open(path) -> xr.DataTree:
-    """A result file as an ``xarray.DataTree``: its groups, by the names of the file."""
+    """The result file ``path`` as an ``xarray.DataTree``: its groups, by the names of the file."""
     if not Path(path).exists():
         raise FileNotFoundError(f"{path} is not there")
     # What is no result file is told with its reason.
@@ -22,7 +22,8 @@ def open(path) -> xr.DataTree:
 
 
 class Report:
-    """A page with pictures; a notebook shows it."""
+    """A ``page`` of HTML with ``pictures`` (their names) and what is ``missing`` (with reasons); a
+    notebook shows it."""
 
     def __init__(self, page, pictures, missing):
         self.page = Path(page)
@@ -33,6 +34,7 @@ class Report:
 
     @property
     def html(self) -> str:
+        """The page's text."""
         return self.page.read_text(encoding="utf-8")
 
     def _repr_html_(self):

@@ -18,21 +18,26 @@ if TYPE_CHECKING:
 
 
 class Value:
-    """V at any state, and p = dV/dx, u, the error.
+    """V at any state, and p = dV/dx, u, the error, interpolated from a ``result`` (a file's path, a
+    Dataset or a DataTree).
 
-    Calls take states as an array (..., states), or by name; on a finite horizon also a time ``t``
-    (default 0). They return an array of the shape (...), with p and u (..., states) and (...,
-    controls); NaN where nothing is known.
+    Calls take states ``x`` as an array (..., states), absolute and in the scene's units, or by name (those
+    that are not named are at the equilibrium); on a finite horizon also a time ``t`` (default 0). They
+    return an array of the shape (...), with p and u (..., states) and (..., controls); NaN where nothing
+    is known.
 
     >>> v = p.value(p.map(error=1e-3))
     >>> v([0.5, 0.0]), v.p([0.5, 0.0]), v.u([0.5, 0.0])
     >>> v(theta=np.linspace(-1, 1, 11), omega=0.0)      # the usual broadcasting
     """
 
-    def __init__(self, result, problem: Problem):
+    def __init__(self, result):
+        from ._problem import Problem
+
         self._file = _files.file_of(result)
         self._map = _engine.Value(self._file.path)
-        self.problem = problem
+        #: The problem that the result is of.
+        self.problem: Problem = Problem._of(self._map.scene)
 
     def _ask(self, which, x, t, named):
         import numpy as np
@@ -47,15 +52,15 @@ class Value:
         return values.reshape(shape + (-1,) if which in "pu" else shape)[()]
 
     def __call__(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """V."""
+        """V at ``x`` (and ``t``): shape (...), in units of the cost."""
         return self._ask("V", x, t, states)
 
     def p(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """dV/dx, one component a state."""
+        """p = dV/dx at ``x`` (and ``t``): shape (..., states), in units of the cost by those of the states."""
         return self._ask("p", x, t, states)
 
     def u(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """The optimal controls."""
+        """The optimal controls at ``x`` (and ``t``): shape (..., controls), in their units."""
         return self._ask("u", x, t, states)
 
     def _all(self, x, t, named):
@@ -68,12 +73,12 @@ class Value:
         return self._map.at(rows, times, True), shape
 
     def error(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """Estimated error of V."""
+        """Estimated error of V at ``x`` (and ``t``): shape (...), in units of the cost."""
         found, shape = self._all(x, t, states)
         return found["V_error"].reshape(shape)[()]
 
     def status(self, x=None, /, *, t=None, **states) -> np.ndarray:
-        """What is known: "interpolated", or why nothing is."""
+        """What is known at ``x`` (and ``t``), in a word: "interpolated", or why nothing is; shape (...)."""
         import numpy as np
 
         found, shape = self._all(x, t, states)
@@ -81,8 +86,15 @@ class Value:
         return np.array([words[c] for c in found["status"].tolist()], object).reshape(shape)[()]
 
     def at(self, points=None, /, *, t=None, **states) -> xr.Dataset:
-        """V, p, u, their errors, the sheet and the status at states given as for
-        :meth:`Problem.solve`, as a Dataset."""
+        """V, p, u, their errors, the sheet and the status, as a Dataset.
+
+        Parameters
+        ----------
+        points
+            States, as for :meth:`Problem.solve`; or by name.
+        t : float
+            The time, on a finite horizon.
+        """
         import numpy as np
 
         places = Places(self.problem, points, states)
@@ -98,7 +110,13 @@ class Value:
         Parameters
         ----------
         counts : int or dict of int
-            Points of each axis over the region; an axis may also be given itself, by name.
+            Points of each axis over the region.
+        **axes
+            An axis itself, by its state's name.
+        t : float or array_like
+            Times, on a finite horizon: a last axis.
+        out : path
+            The result file; without it there is none that lasts.
         """
         import numpy as np
 
@@ -126,8 +144,8 @@ class Value:
         return _files._held(made, self._file if out is None else file)
 
     def to_c(self, path=None, *, name="map") -> str:
-        """V and u of a map in pieces as a header of C without dependencies; also written to a file.
-        What it defines begins with ``name``."""
+        """V and u of a map in pieces as a header of C without dependencies; also written to the file
+        ``path``. What it defines begins with ``name``."""
         text = self._map.to_c(identifier(name))
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
