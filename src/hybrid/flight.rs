@@ -88,6 +88,14 @@ impl End {
         }
     }
 
+    /// The end of a number; `None` where there is none such.
+    #[must_use]
+    pub fn of_code(code: i32) -> Option<Self> {
+        let event = usize::try_from(code - Self::FIRST_EVENT);
+        let at_event = event.ok().map(End::At);
+        at_event.or(Self::OTHERS.into_iter().find(|end| end.code() == code))
+    }
+
     /// The code of the first event at which a flight may end; the others follow.
     pub const FIRST_EVENT: i32 = 16;
 

@@ -60,8 +60,11 @@ impl ResultFile {
             .attribute("backend", device.0)
             .attribute("adapter", device.1)
             .attribute("precision", simulated.precision.name())
-            .attribute("method", simulated.method.name())
+            .attribute("method", simulated.method)
             .attribute("rtol", simulated.rtol);
+        if let Some(cost) = &simulated.cost {
+            table.put("J", cost);
+        }
         table.write(self)?;
 
         let jumps = &flights.jumps;

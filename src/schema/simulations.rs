@@ -23,11 +23,18 @@ pub static SIMULATION: Group = Group {
         real("t_end", &["flight"], Unit::Time, "time at the end"),
         integer("events", &["flight"], "events at which the state jumped"),
         code("status", &["flight"], "how the flight ended"),
+        real(
+            "J",
+            &["flight"],
+            Unit::Cost,
+            "cost until the end; that at the final time is in it where the flight gets there",
+        )
+        .when(When::With("a law of Python")),
     ],
     attributes: &[
         ("time", "how long a flight was to last"),
         ("law", "what controlled; empty: controls were held"),
-        ("backend", "cpu or gpu"),
+        ("backend", "cpu or gpu, or python"),
         ("adapter", "the device"),
         ("precision", "f32 or f64"),
         ("method", "integration method"),

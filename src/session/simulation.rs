@@ -86,7 +86,7 @@ pub struct Simulated {
     /// The law's name; none where controls are held.
     pub law: Option<String>,
     /// Integration method.
-    pub method: Method,
+    pub method: &'static str,
     /// Arithmetic of the integration.
     pub precision: Precision,
     /// Relative tolerance of a step.
@@ -95,6 +95,8 @@ pub struct Simulated {
     pub time: f64,
     /// Orbits near the states, if any were looked for.
     pub cycles: Option<Cycles>,
+    /// `[flight]`: what each cost, where that was integrated too.
+    pub cost: Option<Vec<f64>>,
 }
 
 /// Orbits that were looked for, one near each state.
@@ -161,6 +163,7 @@ struct Prepared {
     options: Options,
     /// Controls as functions of the state.
     control: Program,
+    method: Method,
     simulated: Simulated,
 }
 
@@ -274,7 +277,7 @@ impl Session<'_> {
             (&parts.events, &parts.guards),
             (
                 self.backend.as_ref(),
-                prepared.simulated.method,
+                prepared.method,
                 prepared.simulated.precision,
             ),
         )?;
@@ -399,6 +402,7 @@ impl Session<'_> {
             simulator,
             options,
             control,
+            method: numerics.method,
             simulated: Simulated {
                 initial: Vec::new(),
                 flights: Flights::default(),
@@ -406,11 +410,12 @@ impl Session<'_> {
                 names: [named("event", &events), named("guard", &guards)].concat(),
                 events: events.len(),
                 law: law.map(|l| l.name),
-                method: numerics.method,
+                method: numerics.method.name(),
                 precision: numerics.precision,
                 rtol: numerics.rtol,
                 time,
                 cycles: None,
+                cost: None,
             },
             parts: Parts {
                 x,

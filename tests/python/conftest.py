@@ -12,7 +12,7 @@ def scenarios():
     return ROOT / "scenarios"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def double_integrator():
     import pycostate
 

@@ -30,7 +30,7 @@ def test_each_is_described(name, thing):
     for parameter in inspect.signature(thing).parameters.values():
         word = re.escape(parameter.name)
         # What is said once for all is named by what is given: states by name, options of `using`.
-        known = parameter.name in ("self", "cls", "states", "numerics", "states_and_numerics", "options")
+        known = parameter.name in ("self", "cls", "more", "states", "numerics", "states_and_numerics", "options")
         assert known or re.search(rf"(?<!\w){word}(?!\w)", text), f"{name}: {parameter.name}"
 
 

@@ -86,3 +86,32 @@ def test_what_is_no_fmu_is_said(law, tmp_path):
     with pytest.raises(pycostate.InputError, match="name a file .fmu"):
         law.to_fmu(tmp_path / "law.zip")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("outputs", [["w"], ["w", "u"]])
+def test_outputs_have_their_own_names(tmp_path, outputs):
+    p = pycostate.Problem(
+        states=["x", "v"],
+        controls={"u": {}, "w": {"unit": "V"}},
+        dynamics={"x": "v + 0.5*w", "v": "u"},
+        running="0.5*(x^2 + u^2 + 3*w^2)",
+        equilibrium={"x": 0, "v": 0, "u": 0, "w": 0},
+        region={"x": [-1, 1], "v": [-1, 1]},
+        shoot_out={"value_max": 1.0, "spacing": 0.2, "samples": 20},
+        feedback={"law": {"fit": "u", "output": outputs, "hidden": [3], "iterations": 30, "starts": 1}},
+    ).using(backend="cpu")
+    law = p.fit(p.sweep())
+    law.to_fmu(tmp_path / "law.fmu", compiled=True)
+    assert validate_fmu(str(tmp_path / "law.fmu")) == []
+    x = [0.4, -0.3]
+    got = fmpy.simulate_fmu(
+        str(tmp_path / "law.fmu"), start_values=dict(zip("xv", x)), stop_time=0.1, output=law.outputs
+    )
+    given = law(x)
+    names = p.controls if len(outputs) == 2 else law.outputs
+    assert law.outputs == tuple(outputs)
+    assert {n: got[n][-1] for n in outputs} == pytest.approx(dict(zip(names, given)), abs=1e-12)
+    # As the engine flies it.
+    if len(outputs) == 2:
+        both = [p.simulate(f, x, time=1.0, rtol=1e-9)["simulation"].x_end.values for f in (law, lambda x: law(x))]
+        assert both[0] == pytest.approx(both[1], abs=1e-7)

@@ -84,3 +84,28 @@ def test_what_has_no_picture_is_said(double_integrator, swept):
         swept.costate.contours()
     with pytest.raises(pycostate.InputError, match="no trajectories"):
         points.costate.phase()
+
+
+def test_levels_are_the_report_s(double_integrator):
+    m = double_integrator.map(error=1e-3)
+    ax = m.costate.contours()
+    filled = ax.collections[0]
+    most = float(m.V.max())
+    inner = [level for level in filled.levels if 0 < level < most]
+    assert inner and all(f"{level:e}"[0] in "125" for level in inner)
+    assert filled.levels[-1] == pytest.approx(most) and ax.get_title() == "V"
+    # The local solution about the equilibrium is no sheet of its own: no lines of changes.
+    assert (m.sheet.values < 0).any() and len(ax.collections) == 2
+    assert ax.texts
+    ax = m.costate.contours("u", levels=5)
+    assert len(ax.collections[0].levels) == 6
+    line = m.costate.slice("V", v=0.0)
+    assert line.get_legend() is None
+    with pytest.raises(pycostate.InputError, match="levels"):
+        m.costate.contours(levels=[float("nan"), 1.0])
+
+
+def test_nodes_have_pictures(double_integrator):
+    tree = double_integrator.simulate("lqr", [0.5, 0.2], time=3.0)
+    axes = tree["simulation_samples"].costate.histories()
+    assert len(axes) == 3 and len(axes[0].lines) == 1

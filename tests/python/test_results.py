@@ -143,7 +143,7 @@ def test_files_go_when_nothing_is_left(double_integrator):
     ds = double_integrator.solve(x=[0.1, 0.2])
     ours = folder(ds)
     copied = ds.copy(deep=True)
-    assert ours.parent == Path(tempfile.gettempdir()) and ours.exists()
+    assert ours.parent.parent == Path(tempfile.gettempdir()) and ours.exists()
     del ds
     gc.collect()
     assert ours.exists(), "a copy still needs it"

@@ -7,6 +7,8 @@ use pyo3::types::{PyDict, PyList};
 
 /// Status of what was ended before it was done.
 const UNFINISHED: u8 = 75;
+/// What is said of a part for which no time was left.
+const OUT_OF_TIME: &str = "the time given is over";
 /// Status of what the caller has given.
 const OF_INPUT: u8 = 2;
 
@@ -22,7 +24,43 @@ pub fn raised(py: Python<'_>, error: impl Into<CliError>) -> PyErr {
         OF_INPUT => "InputError",
         _ => "CostateError",
     };
-    exception(py, class, &error.to_string()).unwrap_or_else(|e| e)
+    exception(py, class, &in_python(&error.to_string())).unwrap_or_else(|e| e)
+}
+
+/// A message without the command line's words: `--time-limit` is `time_limit`.
+pub fn in_python(text: &str) -> String {
+    let text = text
+        .replace("`costate solve --points FILE.csv`", "p.solve(...)")
+        .replace("`costate solve --points`", "p.solve(...)")
+        .replace("`costate solve`", "p.solve(...)")
+        .replace("`costate homotopy`", "p.homotopy()");
+    let mut made = String::with_capacity(text.len());
+    let mut rest = text.as_str();
+    while let Some(at) = rest.find("--") {
+        let (before, option) = (&rest[..at], &rest[at + 2..]);
+        let end = option
+            .find(|c: char| !(c.is_ascii_lowercase() || c == '-'))
+            .unwrap_or(option.len());
+        let begins = before.is_empty() || before.ends_with([' ', '(', '`']);
+        let name = &option[..end];
+        made.push_str(before);
+        match begins && name.starts_with(|c: char| c.is_ascii_lowercase()) {
+            true => made.push_str(&name.replace('-', "_")),
+            false => made.push_str(&rest[at..at + 2 + end]),
+        }
+        rest = &option[end..];
+    }
+    made + rest
+}
+
+/// The same of work that had a time limit, and whether that has passed.
+pub fn raised_by(py: Python<'_>, error: impl Into<CliError>, is_late: bool) -> PyErr {
+    let error = error.into();
+    let text = error.to_string();
+    match is_late && text.contains(OUT_OF_TIME) {
+        true => exception(py, "OutOfTime", &in_python(&text)).unwrap_or_else(|e| e),
+        false => raised(py, error),
+    }
 }
 
 /// The same for what is at fault in a call.
@@ -34,7 +72,8 @@ fn class<'py>(py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
     py.import("pycostate.errors")?.getattr(name)
 }
 
-fn exception(py: Python<'_>, name: &str, message: &str) -> PyResult<PyErr> {
+/// An exception of a class of the package.
+pub fn exception(py: Python<'_>, name: &str, message: &str) -> PyResult<PyErr> {
     Ok(PyErr::from_value(class(py, name)?.call1((message,))?))
 }
 
@@ -44,13 +83,14 @@ fn of_scene(py: Python<'_>, errors: &ScenarioErrors) -> PyResult<PyErr> {
     for problem in &errors.problems {
         let (line, column) = errors.place(problem).unzip();
         let one = PyDict::new(py);
-        one.set_item("message", &problem.message)?;
+        one.set_item("message", in_python(&problem.message))?;
         one.set_item("line", line)?;
         one.set_item("column", column)?;
         one.set_item("help", &problem.help)?;
         problems.append(one)?;
     }
-    let text = errors.render(false);
+    // What users have written stays as it is.
+    let text = errors.render(false).replace("--set ", "set ");
     let made = class(py, "SceneError")?.call1((text.trim_end(), &errors.file_name, problems))?;
     Ok(PyErr::from_value(made))
 }

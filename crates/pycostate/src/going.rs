@@ -1,9 +1,11 @@
 //! Work that goes on while Python waits: on a thread of its own, without the interpreter's lock, ended
 //! by Ctrl-C with what is done by then.
 
+use crate::error::{exception, in_python};
 use costate::backend::Deadline;
 use costate::session::Progress;
 use pyo3::prelude::*;
+use std::any::Any;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Condvar, Mutex, PoisonError};
@@ -49,6 +51,8 @@ pub struct Gone<T> {
     pub done: T,
     /// The exception that asked it to end: that of Ctrl-C, or one that `progress` has raised.
     pub interrupted: Option<PyErr>,
+    /// Whether the time limit has passed.
+    pub is_late: bool,
 }
 
 /// Does some work. `progress(step)` is called with what goes on (None where a step has ended), `note`
@@ -58,7 +62,7 @@ pub fn going<T: Send>(
     (progress, note): (&Bound<'_, PyAny>, &Bound<'_, PyAny>),
     time_limit: Option<f64>,
     work: impl FnOnce(&Listener, Deadline) -> T + Send,
-) -> Gone<T> {
+) -> PyResult<Gone<T>> {
     // Whoever holds a deadline may hold it for ever: so does the flag that it looks at.
     let stop: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
     let end = time_limit.and_then(|limit| Deadline::instant(Instant::now(), limit));
@@ -86,9 +90,22 @@ pub fn going<T: Send>(
         py.detach(|| worker.join())
     });
     match done {
-        Ok(done) => Gone { done, interrupted },
-        Err(panic) => std::panic::resume_unwind(panic),
+        Ok(done) => Ok(Gone {
+            done,
+            interrupted,
+            is_late: time_limit.is_some() && deadline.has_passed(),
+        }),
+        Err(panic) => Err(failed(py, panic.as_ref())),
     }
+}
+
+/// What a panic of the engine is in Python.
+fn failed(py: Python<'_>, panic: &(dyn Any + Send)) -> PyErr {
+    let text = (panic.downcast_ref::<String>().map(String::as_str))
+        .or(panic.downcast_ref::<&str>().copied())
+        .unwrap_or("without a reason");
+    let message = format!("the engine has failed, which is a fault of it: {text}");
+    exception(py, "CostateError", &message).unwrap_or_else(|e| e)
 }
 
 /// Whether the work has ended.
@@ -125,7 +142,7 @@ fn pass_on(
     let mut step = None;
     for one in told.try_iter() {
         match one {
-            Told::Note(text) => drop(note.call1((text,))?),
+            Told::Note(text) => drop(note.call1((in_python(&text),))?),
             Told::Step(what) => step = Some(Some(what)),
             Told::StepEnded => step = Some(None),
         }

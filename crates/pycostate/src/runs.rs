@@ -1,6 +1,6 @@
 //! What a session computes, into result files.
 
-use crate::error::{of_input, raised};
+use crate::error::{of_input, raised, raised_by};
 use crate::going::{Gone, Listener, going};
 use crate::law::Law;
 use crate::scene::Scene;
@@ -94,7 +94,7 @@ impl How {
         &self,
         py: Python<'_>,
         work: impl FnOnce(&Listener, Deadline) -> T + Send,
-    ) -> Gone<T> {
+    ) -> PyResult<Gone<T>> {
         let (progress, note) = (self.progress.bind(py), self.note.bind(py));
         going(py, (progress, note), self.time_limit, work)
     }
@@ -110,7 +110,7 @@ impl How {
         let gone = self.going(py, |listener, deadline| {
             let provenance = provenance();
             work(&numerics.session(&scene, listener, deadline)?, &provenance)
-        });
+        })?;
         written(py, gone)
     }
 }
@@ -148,7 +148,7 @@ fn written(py: Python<'_>, gone: Gone<Result<Made, CliError>>) -> PyResult<Writt
             drop(e);
             Err(interrupted)
         }
-        (Err(e), _) => Err(raised(py, e)),
+        (Err(e), _) => Err(raised_by(py, e, gone.is_late)),
     }
 }
 
@@ -340,11 +340,11 @@ pub fn fit(
             .map(|law| Law::fitted(law, Arc::clone(&inner)))
             .collect::<Result<_, CliError>>()?;
         Ok((fitted, done.fitted.left_out))
-    });
+    })?;
     match (gone.done, gone.interrupted) {
         (Ok((laws, left_out)), interrupted) => Ok((laws, left_out, interrupted)),
         (Err(_), Some(interrupted)) => Err(interrupted),
-        (Err(e), None) => Err(raised(py, e)),
+        (Err(e), None) => Err(raised_by(py, e, gone.is_late)),
     }
 }
 

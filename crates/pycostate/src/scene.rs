@@ -3,6 +3,7 @@
 use crate::error::raised;
 use costate::Stored;
 use costate::low_level::model::{Model, Variable};
+use costate::low_level::schema;
 use costate::session::SimulationOptions;
 use costate_cli::Checked;
 use pyo3::prelude::*;
@@ -111,6 +112,12 @@ impl Scene {
     fn time(&self) -> (String, Option<f64>) {
         let model = self.model();
         (model.time_name().to_owned(), model.final_time())
+    }
+
+    /// A state that is called like something in `/map`, and cannot be an axis there.
+    fn no_axis(&self) -> Option<&str> {
+        let mut names = self.model().states.iter().map(|s| s.variable.name.as_str());
+        names.find(|name| schema::MAP.reserves(name))
     }
 
     /// What a simulation does unless it is told otherwise: states that it begins with, row by row,

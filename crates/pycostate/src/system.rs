@@ -1,13 +1,49 @@
 //! A scene's equations as functions of arrays: for laws that are functions of Python.
 
-use crate::error::of_input;
+use crate::error::{of_input, raised};
 use crate::scene::Scene;
+use costate::Precision;
 use costate::low_level::expr::Id;
-use costate::low_level::hybrid::{lost_contact, sizes};
+use costate::low_level::hdf5::ResultFile;
+use costate::low_level::hybrid::{End, Flights, Jump, Sample, lost_contact, sizes};
+use costate::low_level::model::Horizon;
 use costate::low_level::program::Program;
-use costate::session::some_states;
+use costate::low_level::result::{RunRecord, TrajectorySchema};
+use costate::session::{Simulated, some_states};
+use costate_cli::CliError;
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// What integrates flights under a law of Python, and how.
+const BACKEND: &str = "python";
+const METHOD: &str = "dopri5";
+
+/// Flights as Python has flown them: the fields are those of a dict.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Flown<'py> {
+    /// `[flight][component]`.
+    x0: PyReadonlyArray2<'py, f64>,
+    x_end: PyReadonlyArray2<'py, f64>,
+    /// `[flight]`; the cost is the running one.
+    t_end: Vec<f64>,
+    events: Vec<usize>,
+    status: Vec<i32>,
+    cost: Vec<f64>,
+    /// (flight, event, time), with the states before and after.
+    jumps: Vec<(usize, usize, f64)>,
+    before: PyReadonlyArray2<'py, f64>,
+    after: PyReadonlyArray2<'py, f64>,
+    /// (flight, phase, time), with states and controls.
+    samples: Vec<(usize, usize, f64)>,
+    x: PyReadonlyArray2<'py, f64>,
+    u: PyReadonlyArray2<'py, f64>,
+    law: String,
+    rtol: f64,
+    time: f64,
+}
 
 /// x', L, and what flights meet: events, then guards of states; disturbances are 0.
 #[pyclass(frozen, module = "pycostate._engine")]
@@ -20,8 +56,11 @@ pub struct System {
     /// Of x, an event's: the state after it, and what contacts keep, after and before. `None`: the
     /// flight ends.
     maps: Vec<Option<Program>>,
+    /// Of x: the cost at the final time.
+    terminal: Option<Program>,
     states: usize,
     controls: usize,
+    scene: Arc<costate::Scene>,
     #[pyo3(get)]
     events: Vec<String>,
     #[pyo3(get)]
@@ -79,12 +118,21 @@ impl System {
                 Some(Program::lower(&graph, &x, &all))
             })
             .collect();
+        let terminal = match &model.horizon {
+            Horizon::Finite { terminal, .. } => {
+                let cost = graph.substitute(&[terminal.expr], &numbers);
+                Some(Program::lower(&graph, &x, &cost))
+            }
+            Horizon::Infinite { .. } => None,
+        };
         Self {
+            terminal,
             rates: Program::lower(&graph, &both, &rates),
             conditions: Program::lower(&graph, &both, &conditions),
             maps,
             states: x.len(),
             controls: u.len(),
+            scene: Arc::clone(&scene.inner),
             events: model.events.iter().map(|e| e.name.clone()).collect(),
             guards: model.guards.iter().map(|g| g.name.clone()).collect(),
             sizes,
@@ -119,6 +167,28 @@ impl System {
         self.of_both(py, &self.conditions, &x, &u)
     }
 
+    /// Writes flights to a result file; its path.
+    fn write(&self, py: Python<'_>, out: PathBuf, flown: Flown<'_>) -> PyResult<PathBuf> {
+        let simulated = self.simulated(flown)?;
+        let written = py.detach(|| {
+            let provenance = costate_cli::provenance();
+            let model = &self.scene.model;
+            let mut file = ResultFile::create(out)?;
+            let axes = TrajectorySchema::axes(model);
+            file.simulation(&axes, &simulated, (BACKEND, ""))?;
+            let record = RunRecord {
+                backend: BACKEND.to_owned(),
+                precision: simulated.precision.name().to_owned(),
+                method: simulated.method.to_owned(),
+                rtol: simulated.rtol,
+                ..provenance.record(model)
+            };
+            record.write(&file)?;
+            Ok::<_, CliError>(file.finish()?)
+        });
+        written.map_err(|e| raised(py, e))
+    }
+
     /// The state after an event, and whether a contact no longer holds in it; `None` where the event
     /// ends the flight.
     #[allow(clippy::needless_pass_by_value, reason = "as Python gives it")]
@@ -132,6 +202,76 @@ impl System {
 }
 
 impl System {
+    fn simulated(&self, flown: Flown<'_>) -> PyResult<Simulated> {
+        let n = self.states;
+        let row = |x: &PyReadonlyArray2<'_, f64>, k: usize| -> PyResult<Vec<f64>> {
+            Ok(x.as_slice()?[k * n..][..n].to_vec())
+        };
+        let jumps = (flown.jumps.iter().enumerate())
+            .map(|(k, &(flight, event, t))| {
+                Ok(Jump {
+                    flight,
+                    event,
+                    t,
+                    before: row(&flown.before, k)?,
+                    after: row(&flown.after, k)?,
+                })
+            })
+            .collect::<PyResult<_>>()?;
+        let samples = (flown.samples.iter().enumerate())
+            .map(|(k, &(flight, phase, t))| {
+                Ok(Sample {
+                    flight,
+                    phase,
+                    t,
+                    x: row(&flown.x, k)?,
+                })
+            })
+            .collect::<PyResult<_>>()?;
+        let ends = flown.status.iter().map(|code| End::of_code(*code));
+        let flights = Flights {
+            last: flown.x_end.as_slice()?.to_vec(),
+            t: flown.t_end,
+            end: ends.map(|end| end.unwrap_or(End::NotLocated)).collect(),
+            events: flown.events,
+            jumps,
+            samples,
+            ..Flights::default()
+        };
+
+        let model = &self.scene.model;
+        let is_whole = |flight: usize| {
+            let whole = model.final_time();
+            flights.end[flight] == End::Time && whole.is_some_and(|whole| flown.time >= whole)
+        };
+        let costs = flown.cost.into_iter().enumerate();
+        let cost = costs
+            .map(|(flight, running)| match &self.terminal {
+                Some(terminal) if is_whole(flight) => {
+                    running + terminal.eval(&flights.last[flight * n..][..n])[0]
+                }
+                _ => running,
+            })
+            .collect();
+        let named = |kind: &'static str, all: &[String]| -> Vec<String> {
+            all.iter().map(|name| format!("{kind}_{name}")).collect()
+        };
+        Ok(Simulated {
+            initial: flown.x0.as_slice()?.to_vec(),
+            u: flown.u.as_slice()?.to_vec(),
+            names: [named("event", &self.events), named("guard", &self.guards)].concat(),
+            events: self.events.len(),
+            law: Some(flown.law),
+            method: METHOD,
+            precision: Precision::F64,
+            rtol: flown.rtol,
+            time: flown.time,
+            cycles: None,
+            cost: Some(cost),
+            flights,
+        })
+    }
+
     fn of_both<'py>(
         &self,
         py: Python<'py>,

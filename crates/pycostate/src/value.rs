@@ -5,6 +5,7 @@ use crate::scene::Scene;
 use costate::backend::Backend;
 use costate::backend::cpu::Cpu;
 use costate::low_level::hdf5::ResultFile;
+use costate::low_level::map::At;
 use costate::low_level::result::{
     Places, RunRecord, Stored, Times, TrajectorySchema, interpolated_status, interpolated_statuses,
 };
@@ -78,9 +79,9 @@ impl Value {
         axes: Option<Vec<Vec<f64>>>,
     ) -> PyResult<PathBuf> {
         let (x, t) = (x.as_slice()?, t.as_slice()?);
+        let provenance = costate_cli::provenance();
+        let found = self.found(py, (x, t), true)?;
         let written = py.detach(|| {
-            let provenance = costate_cli::provenance();
-            let found = self.map.at_times(x, t, true);
             let places = match &axes {
                 Some(axes) => Places::Grid(axes),
                 None => Places::Points(x),
@@ -132,11 +133,8 @@ impl Value {
         errors: bool,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (x, t) = (x.as_slice()?, t.as_slice()?);
+        let found = self.found(py, (x, t), errors)?;
         let n = self.map.states();
-        if t.len() * n != x.len() {
-            return Err(of_input(py, "as many times as states are needed"));
-        }
-        let found = py.detach(|| self.map.at_times(x, t, errors));
         let out = PyDict::new(py);
         let number = |of: &dyn Fn(&costate::Value) -> f64| -> Bound<'py, PyArray1<f64>> {
             let all: Vec<f64> = (found.iter())
@@ -165,5 +163,23 @@ impl Value {
         let why: Vec<i32> = found.iter().map(interpolated_status).collect();
         out.set_item("status", why.into_pyarray(py))?;
         Ok(out)
+    }
+}
+
+impl Value {
+    /// What is known at states `[state][component]` and times. Signals are looked at meanwhile.
+    fn found(&self, py: Python<'_>, (x, t): (&[f64], &[f64]), errors: bool) -> PyResult<Vec<At>> {
+        /// States that are asked for at once.
+        const PART: usize = 20_000;
+        let n = self.map.states();
+        if t.len() * n != x.len() {
+            return Err(of_input(py, "as many times as states are needed"));
+        }
+        let mut all = Vec::with_capacity(t.len());
+        for (x, t) in x.chunks(PART * n).zip(t.chunks(PART)) {
+            all.extend(py.detach(|| self.map.at_times(x, t, errors)));
+            py.check_signals()?;
+        }
+        Ok(all)
     }
 }

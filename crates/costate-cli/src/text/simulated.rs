@@ -40,7 +40,7 @@ impl Shown<'_> {
         let mut lines = vec![format!(
             "{} simulated ({} {}, rtol {:e}), controls {}",
             counted(count, "flight"),
-            simulated.method.name(),
+            simulated.method,
             simulated.precision.name(),
             simulated.rtol,
             match &simulated.law {
@@ -200,7 +200,7 @@ impl Shown<'_> {
         json!({
             "title": self.model.title, "file": path.display().to_string(),
             "backend": backend, "adapter": adapter,
-            "precision": simulated.precision.name(), "method": simulated.method.name(),
+            "precision": simulated.precision.name(), "method": simulated.method,
             "rtol": simulated.rtol, "time": simulated.time, "law": simulated.law,
             "status": simulated.by_status(), "cycles": cycles, "flights": all,
             "steps": flights.steps, "rejected": flights.rejected,

@@ -8,7 +8,9 @@
 
 from __future__ import annotations
 
-from . import errors
+import sys as _sys
+
+from . import _pictures, errors
 from ._check import Check
 from ._command import adapters, check_least, command, import_urdf
 from ._law import Law, load_law
@@ -48,13 +50,16 @@ __all__ = [
 ]
 
 
+if "xarray" in _sys.modules:
+    # Else it is made when the first result is.
+    _pictures.register()
+
+
 def main() -> None:
     """The command ``costate``."""
-    import sys
-
     from ._engine import run_command
 
-    sys.exit(run_command(["costate", *sys.argv[1:]]))
+    _sys.exit(run_command(["costate", *_sys.argv[1:]]))
 
 
 def __getattr__(name):

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from .errors import CostateError, InputError, OutOfTime
+from .errors import CostateError, InputError, OutOfTime, warn
 
 _ERRORS = {2: InputError, 75: OutOfTime}
 
@@ -57,15 +57,13 @@ def adapters() -> list[dict]:
 
 def import_urdf(robot, out=None):
     """A scene's text of a ``robot`` in URDF (a file), with remarks as warnings; also written to ``out``."""
-    import warnings
+    from . import _files
 
-    from .errors import CostateWarning
-
-    with tempfile.TemporaryDirectory(prefix="pycostate-") as folder:
+    with tempfile.TemporaryDirectory(dir=_files.folder()) as folder:
         path = Path(folder, "robot.toml") if out is None else Path(out)
         summary = of_json("import", robot, "--out", path)
         for note in summary.get("notes", []):
-            warnings.warn(note, CostateWarning, stacklevel=2)
+            warn(note)
         return path.read_text(encoding="utf-8")
 
 
@@ -93,7 +91,7 @@ def check_least(result, *, nodes=(), margin=None, seconds=None, apart=None, back
     file = _files.file_of(result)
     given = {"--margin": margin, "--seconds": seconds, "--apart": apart, "--backend": backend}
     options = [str(w) for pair in given.items() if pair[1] is not None for w in pair]
-    nodes = [nodes] if isinstance(nodes, int) else list(nodes)
+    nodes = [nodes] if hasattr(nodes, "__index__") else list(nodes)
     if nodes:
         options += ["--nodes", ",".join(map(str, nodes))]
     done = _run(["check-least", file.path, *options, "--json"])

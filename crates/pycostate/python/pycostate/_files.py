@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import _thread
+import atexit
+import builtins
+import glob
 import os
 import shutil
 import tempfile
+import threading
+import time
 import weakref
 from pathlib import Path
 
@@ -12,20 +18,107 @@ from . import _pictures
 from .errors import InputError
 
 _KEY = "pycostate"
+_PREFIX, _LOCK = "pycostate-", "in_use"
 #: Attributes of HDF5 that say how dimensions hang together: xarray knows that itself.
 _PLUMBING = {"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST", "_FillValue"}
+
+
+class _Folder:
+    """The folder of a process for results without a name of their own. It is locked while the process
+    lives, so that what a killed one has left is seen by others, and removed."""
+
+    def __init__(self):
+        self.pid = os.getpid()
+        self.path = tempfile.mkdtemp(prefix=_PREFIX)
+        self._lock = builtins.open(os.path.join(self.path, _LOCK), "w")
+        _lock(self._lock)
+        atexit.register(self.remove)
+        for other in glob.glob(os.path.join(tempfile.gettempdir(), _PREFIX + "*", _LOCK)):
+            _remove_dead(other)
+
+    def remove(self):
+        if self.pid == os.getpid():
+            self._lock.close()
+            shutil.rmtree(self.path, ignore_errors=True)
+
+
+def _lock(file) -> bool:
+    """Whether nobody else holds it."""
+    try:
+        import fcntl
+    except ModuleNotFoundError:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _remove_dead(lock: str) -> None:
+    try:
+        # It may not be locked yet.
+        if time.time() - os.path.getmtime(lock) < 60:
+            return
+        with builtins.open(lock, "r+") as file:
+            if _lock(file):
+                shutil.rmtree(os.path.dirname(lock), ignore_errors=True)
+    except OSError:
+        pass
+
+
+_folder: _Folder | None = None
+
+
+def folder() -> str:
+    """A new folder, for a result of this process."""
+    global _folder
+    if _folder is None or _folder.pid != os.getpid():
+        _folder = _Folder()
+    return tempfile.mkdtemp(dir=_folder.path)
+
+
+def remove(path: str) -> None:
+    """Removes a folder, also where Ctrl-C comes meanwhile."""
+    try:
+        shutil.rmtree(path, ignore_errors=True)
+    except KeyboardInterrupt:
+        shutil.rmtree(path, ignore_errors=True)
+        # An exception here would be heard by nobody.
+        threading.Timer(0.01, _thread.interrupt_main).start()
+
+
+def _stamp(path):
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_ino, found.st_size, found.st_mtime_ns
 
 
 class ResultFile:
     """A result file that lives as long as something made of it; one of ours is then removed."""
 
-    __slots__ = ("path", "_folder", "__weakref__")
+    __slots__ = ("__weakref__", "_folder", "_stamp", "path")
 
     def __init__(self, path, folder: str | None = None):
-        self.path = Path(path)
+        self.path = Path(os.path.abspath(path))
         self._folder = folder
+        self._stamp = _stamp(self.path)
         if folder is not None:
-            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+            weakref.finalize(self, remove, folder)
+
+    def same(self) -> ResultFile:
+        """This, if it is what it was."""
+        if self._stamp is not None and _stamp(self.path) != self._stamp:
+            raise InputError(
+                f"{self.path} is another file by now than the one that this was made of: pycostate.open reads it again"
+            )
+        return self
+
+    def changed(self) -> None:
+        """It was written to by us."""
+        self._stamp = _stamp(self.path)
 
     def __repr__(self):
         return f"ResultFile({str(self.path)!r})"
@@ -45,8 +138,8 @@ class Target:
     """Where a result goes: a file that the user has named, or one of ours."""
 
     def __init__(self, out):
-        self.folder = tempfile.mkdtemp(prefix="pycostate-") if out is None else None
-        self.path = os.path.join(self.folder, "result.h5") if out is None else os.fspath(out)
+        self.folder = folder() if out is None else None
+        self.path = os.path.join(self.folder, "result.h5") if out is None else out
 
     def file(self, path=None) -> ResultFile:
         folder, self.folder = self.folder, None
@@ -57,7 +150,7 @@ class Target:
 
     def __exit__(self, *_):
         if self.folder is not None:
-            shutil.rmtree(self.folder, ignore_errors=True)
+            remove(self.folder)
 
 
 def _attribute(value):
@@ -131,11 +224,37 @@ def tree(file: ResultFile):
     import xarray as xr
 
     with h5py.File(file.path) as stored:
-        root = xr.Dataset(attrs=_attributes(stored))
-        groups = {name: _held(_dataset(group), file) for name, group in stored.items()}
+        groups = {name: _held(_dataset(item), file) for name, item in stored.items() if isinstance(item, h5py.Group)}
+        # What xarray has written has variables here.
+        loose = {name: _variable(item) for name, item in stored.items() if isinstance(item, h5py.Dataset)}
+        root = xr.Dataset(loose, attrs=_attributes(stored))
     made = xr.DataTree.from_dict({"/": _held(root, file), **groups})
     made.encoding = root.encoding
     return made
+
+
+def root(file: ResultFile):
+    """The root's attributes alone, as a Dataset."""
+    return tree(file).to_dataset()
+
+
+def write(path, text: str) -> str:
+    """Writes a text to a file, if there is one to be; the text."""
+    if path is not None:
+        _file(path).write_text(text, encoding="utf-8")
+    return text
+
+
+def write_bytes(path, data: bytes) -> bytes:
+    if path is not None:
+        _file(path).write_bytes(data)
+    return data
+
+
+def _file(path) -> Path:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path
 
 
 def has(file: ResultFile, name: str) -> bool:
@@ -148,15 +267,24 @@ def has(file: ResultFile, name: str) -> bool:
 def file_of(thing) -> ResultFile:
     """The result file that something was made of: a path, or a Dataset or DataTree of ours."""
     if isinstance(thing, ResultFile):
-        return thing
+        return thing.same()
     if isinstance(thing, (str, os.PathLike)):
         return ResultFile(thing)
     encoding = getattr(thing, "encoding", {}) or {}
     if _KEY in encoding:
-        return encoding[_KEY]
+        return encoding[_KEY].same()
     if str(encoding.get("source", "")).endswith(".h5"):
         return ResultFile(encoding["source"])
     raise InputError(
-        "what is needed here is a result file: its path, or the Dataset or DataTree as pycostate has made it "
-        "(parts and results of arithmetic no longer know where they come from)"
+        "what is needed here is a result: the path of its file, or a Dataset or DataTree as pycostate has made it"
     )
+
+
+def said(file: ResultFile) -> dict:
+    """The summary in a result file."""
+    import json
+
+    import h5py
+
+    with h5py.File(file.path) as stored:
+        return json.loads(_attribute(stored.attrs.get("summary", "{}")))

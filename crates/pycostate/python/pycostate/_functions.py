@@ -8,7 +8,11 @@ step is taken again, shorter, until it ends there.
 
 from __future__ import annotations
 
-from .errors import InputError
+import inspect
+import time as clock
+
+from ._places import numbers
+from .errors import InputError, OutOfTime
 
 _STAGES = (
     (),
@@ -24,21 +28,12 @@ _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1
 _TIME, _EVENTS, _ZENO, _NOT_LOCATED, _NO_STATE, _NO_CONDITION = range(6)
 _STEP_FLOOR, _STEP_LIMIT, _NOT_FINITE, _CONTACT_LOST = 9, 10, 11, 12
 _FIRST_EVENT = 16
-_NAMES = {
-    _TIME: "time",
-    _EVENTS: "events",
-    _ZENO: "zeno",
-    _NOT_LOCATED: "not_located",
-    _NO_STATE: "no_state",
-    _NO_CONDITION: "no_condition",
-    _STEP_FLOOR: "step_floor",
-    _STEP_LIMIT: "step_limit",
-    _NOT_FINITE: "not_finite",
-    _CONTACT_LOST: "contact_lost",
-}
 _MOST_STEPS = 1_000_000
+#: Relative tolerance of a step, unless another one is asked for.
+_RTOL = 1e-8
 #: Steps shorter than this, relative to the whole time, are none.
 _FLOOR = 1e-14
+_TINY = 1e-300
 #: What cannot be computed is tried with steps down to this, and so are conditions that may come true
 #: and false again in a step.
 _LEAST, _LEAST_LOOK = 1e-10, 1e-6
@@ -49,15 +44,23 @@ _MOST_SHORT, _SHORT = 20, 1e-9
 _CORRECTIONS = 100
 
 
-def _checked(law, states, controls):
-    """The law as a function of (N, states) with (N, controls)."""
+def _knows_time(law) -> bool:
+    """Whether a function has a parameter ``t``."""
+    try:
+        return "t" in inspect.signature(law).parameters
+    except (TypeError, ValueError):
+        return False
+
+
+def _checked(law, controls):
+    """The law as a function of states (N, states) and times (N,), with (N, controls)."""
     import numpy as np
 
-    def call(x):
-        u = np.asarray(law(x.copy()))
-        if u.dtype == object or not np.can_cast(u.dtype, float, "same_kind"):
-            raise InputError(f"the law gives {u.dtype}, which is no number")
-        u = u.astype(float)
+    knows_time = _knows_time(law)
+
+    def call(x, t):
+        u = law(x.copy(), t=t.copy()) if knows_time else law(x.copy())
+        u = numbers(u, "what the law gives")
         count = len(x)
         if controls == 1 and u.shape in ((count,), ()):
             u = np.broadcast_to(u, (count,))[:, None]
@@ -85,7 +88,7 @@ class _Flights:
         self.touch = _TOUCH * np.array(system.sizes, dtype=float)
         #: Of conditions: those that follow are guards, which hold on their surface.
         self.jumps_at = len(system.events)
-        self.law = _checked(law, self.n, self.m)
+        self.law = _checked(law, self.m)
         self.stops = np.linspace(0.0, time, samples + 1)[1:] if samples else np.array([time])
         self.keeps = samples > 0
 
@@ -93,6 +96,8 @@ class _Flights:
         self.y = np.hstack([x0, np.zeros((count, 1))])
         self.t = np.zeros(count)
         self.step = np.full(count, min(1e-3 * time, self.stops[0]))
+        #: The largest running cost so far.
+        self.cost_rate = np.zeros(count)
         self.steps = np.zeros(count, dtype=int)
         self.stop = np.zeros(count, dtype=int)
         self.alive = np.ones(count, dtype=bool)
@@ -112,18 +117,20 @@ class _Flights:
             self.keep(flight)
         self.begin(np.arange(count))
 
-    def controls(self, x):
+    def controls(self, x, t):
         import numpy as np
 
-        u = np.clip(self.law(x), self.bounds[:, 0], self.bounds[:, 1])
+        if not len(x):
+            return np.zeros((0, self.m))
+        u = np.clip(self.law(x, t), self.bounds[:, 0], self.bounds[:, 1])
         return np.ascontiguousarray(u)
 
-    def rates(self, y):
+    def rates(self, y, t):
         """Of the states and the cost so far; the controls."""
         import numpy as np
 
         x = np.ascontiguousarray(y[:, : self.n])
-        u = self.controls(x)
+        u = self.controls(x, t)
         return self.system.rates(x, u).reshape(-1, self.n + 1), u
 
     def conditions(self, x, u):
@@ -136,7 +143,7 @@ class _Flights:
     def keep(self, flight):
         if self.keeps:
             x = self.y[flight, : self.n].copy()
-            self.samples.append((flight, int(self.phase[flight]), self.t[flight], x))
+            self.samples.append((int(flight), int(self.phase[flight]), self.t[flight], x))
 
     def end(self, flight, code):
         self.status[flight], self.alive[flight] = code, False
@@ -158,7 +165,7 @@ class _Flights:
         if not len(self.touch):
             return
         x = self.y[flights, : self.n]
-        ahead, slope, _ = self.conditions(x, self.controls(x))
+        ahead, slope, _ = self.conditions(x, self.controls(x, self.t[flights]))
         on = abs(ahead) <= self.touch
         self.ahead[flights], self.slope[flights] = ahead, slope
         self.fresh[flights] = on & (slope > 0)
@@ -185,7 +192,7 @@ class _Flights:
             self.end(flight, _FIRST_EVENT + event)
             return
         after, is_lost = np.array(jump[0]), jump[1]
-        self.jumps.append((flight, event, self.t[flight], before, after))
+        self.jumps.append((int(flight), event, self.t[flight], before, after))
         self.y[flight, : self.n] = after
         flown = self.t[flight] - self.begun[flight]
         self.short[flight] = self.short[flight] + 1 if flown <= _SHORT * self.t[flight] else 0
@@ -206,7 +213,8 @@ class _Flights:
         if not self.alive[flight]:
             return
         x = after[None]
-        there, leaves, counts = (c[0] for c in self.conditions(x, self.controls(x)))
+        u = self.controls(x, self.t[[flight]])
+        there, leaves, counts = (c[0] for c in self.conditions(x, u))
         next_ = np.flatnonzero(
             due & (abs(there) <= self.touch) & (leaves < 0) & ~(counts < 0)
         )
@@ -217,14 +225,17 @@ class _Flights:
 
     # Steps.
 
-    def try_step(self, now, h):
-        """A step each: the end, its error, controls there."""
+    def try_step(self, now, t, h):
+        """A step each: the end, its error, controls there, the largest running cost on the way."""
+        import numpy as np
+
         slopes: list = []
         for weights in _STAGES:
-            at = now + h * sum((w * k for w, k in zip(weights, slopes)), 0 * now)
-            rates, u = self.rates(at)
+            at = now + h[:, None] * sum((w * k for w, k in zip(weights, slopes)), 0 * now)
+            rates, u = self.rates(at, t + h * sum(weights))
             slopes.append(rates)
-        return at, h * sum(w * k for w, k in zip(_ERROR, slopes)), u
+        most = np.max([abs(k[:, self.n]) for k in slopes], axis=0)
+        return at, h[:, None] * sum(w * k for w, k in zip(_ERROR, slopes)), u, most
 
     def advance(self):
         """One step of every flight that still flies, or a shorter one to be tried next."""
@@ -245,9 +256,12 @@ class _Flights:
         h = np.where(stops, to_stop, self.step[rows])
         now = self.y[rows]
         with np.errstate(all="ignore"):
-            after, error, u = self.try_step(now, h[:, None])
-            scale = self.widths + np.maximum(abs(now[:, : self.n]), abs(after[:, : self.n]))
-            off = np.sqrt(np.mean((error[:, : self.n] / (self.rtol * scale)) ** 2, axis=1))
+            after, error, u, cost_rate = self.try_step(now, self.t[rows], h)
+            cost_rate = np.fmax(cost_rate, self.cost_rate[rows])
+            scale = np.maximum(abs(now), abs(after))
+            scale[:, : self.n] += self.widths
+            scale[:, self.n] += cost_rate * (self.t[rows] + h) + _TINY
+            off = np.sqrt(np.mean((error / (self.rtol * scale)) ** 2, axis=1))
         ahead, slope, _ = self.conditions(after[:, : self.n], u)
 
         # What is not finite, or no number, is tried with shorter steps first.
@@ -275,6 +289,7 @@ class _Flights:
         good = ~(again | ends | closer)
         crosses = good & met.any(axis=1)
         calm = good & ~crosses
+        self.cost_rate[rows[good]] = cost_rate[good]
         self.move(rows[calm], after[calm], ahead[calm], slope[calm])
         self.t[rows[calm]] += h[calm]
         self.step[rows[calm]] = (h * factor)[calm]
@@ -343,7 +358,7 @@ class _Flights:
         share, found = np.ones(count), None
         for turn in range(_CORRECTIONS):
             with np.errstate(all="ignore"):
-                at, _, u = self.try_step(now, (share * h)[:, None])
+                at, _, u, _ = self.try_step(now, self.t[flights], share * h)
             ahead, slope, counts = self.conditions(at[:, : self.n], u)
             g = least(ahead)
             true = (self.is_met(ahead) & met).any(axis=1)
@@ -381,125 +396,46 @@ class _Flights:
                 self.happen(flight, int(first), ahead[row], slope[row])
 
 
-def fly(problem, system, law, x0, options, rtol, tell):
-    """Simulates from ``x0`` (flights, states); returns what a file would hold."""
+def fly(problem, system, law, x0, options, how):
+    """Simulates from ``x0`` (flights, states); returns what is written."""
     import numpy as np
 
-    time = options["time"]
+    rtol = _RTOL if how["rtol"] is None else how["rtol"]
+    time, tell = options["time"], how["progress"]
+    until = None if how["time_limit"] is None else clock.monotonic() + how["time_limit"]
     flights = _Flights(problem, system, law, x0, rtol=rtol, **options)
     while flights.alive.any():
+        if until is not None and clock.monotonic() > until:
+            done = flights.t.min() / time
+            raise OutOfTime(
+                f"the time limit came when {100 * done:.0f} % were flown (a law that chatters takes ever shorter steps)"
+            )
         flights.advance()
-        tell(min(1.0, flights.t[flights.alive].min(initial=time) / time))
+        if tell is not None:
+            share = flights.t[flights.alive].min(initial=time) / time
+            tell(f"simulated: {100 * share:.0f} %")
 
     kept = sorted(flights.samples, key=lambda s: s[0])
-    x = np.array([s[3] for s in kept]).reshape(len(kept), flights.n)
     jumps = sorted(flights.jumps, key=lambda j: j[0])
 
-    def column(rows, k, dtype):
-        return np.array([row[k] for row in rows], dtype=dtype)
-
     def states(rows, k):
-        return column(rows, k, float).reshape(len(rows), flights.n)
+        return np.array([row[k] for row in rows], dtype=float).reshape(len(rows), flights.n)
 
+    x = states(kept, 3)
     return {
         "x0": x0,
-        "x_end": flights.y[:, : flights.n],
-        "J": flights.y[:, flights.n],
-        "t_end": flights.t,
-        "events": flights.phase,
-        "status": flights.status,
-        "samples": {
-            "flight": column(kept, 0, np.int32),
-            "phase": column(kept, 1, np.int32),
-            "t": column(kept, 2, float),
-            "x": x,
-            "u": flights.controls(x) if len(x) else np.zeros((0, flights.m)),
-        },
-        "jumps": {
-            "flight": column(jumps, 0, np.int32),
-            "event": column(jumps, 1, np.int32),
-            "t": column(jumps, 2, float),
-            "before": states(jumps, 3),
-            "after": states(jumps, 4),
-        },
+        "x_end": np.ascontiguousarray(flights.y[:, : flights.n]),
+        "cost": flights.y[:, flights.n].tolist(),
+        "t_end": flights.t.tolist(),
+        "events": flights.phase.tolist(),
+        "status": flights.status.tolist(),
+        "jumps": [(flight, event, float(t)) for flight, event, t, _, _ in jumps],
+        "before": states(jumps, 3),
+        "after": states(jumps, 4),
+        "samples": [(flight, phase, float(t)) for flight, phase, t, _ in kept],
+        "x": x,
+        "u": flights.controls(x, np.array([float(s[2]) for s in kept])),
+        "law": getattr(law, "__qualname__", type(law).__name__),
+        "rtol": rtol,
+        "time": time,
     }
-
-
-def tree(problem, system, done, time, name, rtol):
-    """The same as an ``xarray.DataTree`` with the names of the engine's simulations."""
-    import numpy as np
-    import xarray as xr
-
-    def described(kind, all_):
-        names, units, words = (list(part) for part in zip(*all_)) if all_ else ([], [], [])
-        filled = [u or "1" for u in units]
-        return {
-            kind: (kind, np.array(names, object), {"long_name": f"{kind} name"}),
-            f"{kind}_units": (kind, np.array(filled, object), {"long_name": f"unit of each {kind}"}),
-            f"{kind}_long_name": (
-                kind,
-                np.array([w or n for n, w in zip(names, words)], object),
-                {"long_name": f"description of each {kind}"},
-            ),
-        }
-
-    states = described("state", problem._scene.states)
-    controls = described("control", problem._scene.controls)
-    names = [f"event_{e}" for e in system.events] + [f"guard_{g}" for g in system.guards]
-
-    def coded(long_name, codes):
-        return {
-            "long_name": long_name,
-            "flag_values": np.array(list(codes), dtype=np.int32),
-            "flag_meanings": " ".join(codes.values()),
-        }
-
-    ends = {**_NAMES, **{_FIRST_EVENT + k: name for k, name in enumerate(names)}}
-    happens = dict(enumerate(names[: len(system.events)]))
-    simulation = xr.Dataset(
-        {
-            "x0": (("flight", "state"), done["x0"], {"long_name": "state at the beginning"}),
-            "x_end": (("flight", "state"), done["x_end"], {"long_name": "state at the end"}),
-            "t_end": ("flight", done["t_end"], {"long_name": "time at the end"}),
-            "events": ("flight", done["events"], {"long_name": "events at which the state jumped"}),
-            "J": ("flight", done["J"], {"long_name": "running cost until the end"}),
-            "status": ("flight", done["status"], coded("how the flight ended", ends)),
-        },
-        coords={"flight": np.arange(len(done["x0"])), **states},
-        attrs={
-            "title": "flights forward in time under a law of Python",
-            "time": float(time),
-            "law": name,
-            "backend": "python",
-            "precision": "f64",
-            "method": "dopri5",
-            "rtol": rtol,
-        },
-    )
-    jumps = done["jumps"]
-    events = xr.Dataset(
-        {
-            "flight": ("jump", jumps["flight"], {"long_name": "index of the flight in /simulation"}),
-            "event": ("jump", jumps["event"], coded("which event", happens)),
-            "t": ("jump", jumps["t"], {"long_name": "time"}),
-            "before": (("jump", "state"), jumps["before"], {"long_name": "state before it"}),
-            "after": (("jump", "state"), jumps["after"], {"long_name": "state after it"}),
-        },
-        coords={"jump": np.arange(len(jumps["t"])), **states},
-        attrs={"title": "events of the flights of /simulation"},
-    )
-    kept = done["samples"]
-    samples = xr.Dataset(
-        {
-            "flight": ("sample", kept["flight"], {"long_name": "index of the flight in /simulation"}),
-            "phase": ("sample", kept["phase"], {"long_name": "index of the phase within the flight"}),
-            "t": ("sample", kept["t"], {"long_name": "time"}),
-            "x": (("sample", "state"), kept["x"], {"long_name": "state"}),
-            "u": (("sample", "control"), kept["u"], {"long_name": "control"}),
-        },
-        coords={"sample": np.arange(len(kept["t"])), **states, **controls},
-        attrs={"title": "points of the flights of /simulation"},
-    )
-    return xr.DataTree.from_dict(
-        {"/simulation": simulation, "/simulation_events": events, "/simulation_samples": samples}
-    )

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import _engine
+from . import _engine, _files
 from ._places import states_of
 from .errors import InputError
 
@@ -49,29 +49,31 @@ class Law:
 
         Returns
         -------
-        numpy.ndarray, shape (..., outputs)
-            In the controls' units, within their bounds.
+        numpy.ndarray, shape (..., controls)
+            In the order of the scene's controls, in their units, within their bounds; of a law that gives
+            not all of them, or commanded states, (..., outputs).
         """
         rows, shape = states_of(self.problem, x, states)
-        return self._law.eval(rows).reshape(shape + (-1,))
+        given = self._law.eval(rows).reshape(*shape, len(self.outputs))
+        if set(self.outputs) == set(self.problem.controls):
+            given = given[..., [self.outputs.index(name) for name in self.problem.controls]]
+        return given
+
+    def __reduce__(self):
+        return _restored, (self.name, self.to_toml(), self.problem)
 
     def to_toml(self) -> str:
         """The weights file's text."""
         return self._law.to_toml()
 
     def to_c(self, path=None) -> str:
-        """A header of C without dependencies; also written to the file ``path``."""
-        text = self._law.to_c()
-        if path is not None:
-            Path(path).write_text(text, encoding="utf-8")
-        return text
+        """A header of C without dependencies, which gives :attr:`outputs` in their order; also written to
+        the file ``path``."""
+        return _files.write(path, self._law.to_c())
 
     def to_onnx(self, path=None) -> bytes:
-        """An ONNX model, as bytes; also written to the file ``path``."""
-        model = bytes(self._law.to_onnx())
-        if path is not None:
-            Path(path).write_bytes(model)
-        return model
+        """An ONNX model, as bytes, which gives :attr:`outputs` in their order; also written to the file ``path``."""
+        return _files.write_bytes(path, bytes(self._law.to_onnx()))
 
     def to_fmu(self, path, *, compiled=False) -> None:
         """Writes an FMU (FMI 3.0, model exchange and co-simulation): states in, controls out.
@@ -90,14 +92,16 @@ class Law:
         if found is None:
             raise InputError(f"law {self.name} commands states ({', '.join(self.outputs)}), not controls")
         scene = self.problem._scene
+        # In the order in which the header gives them.
+        described = {control[0]: control for control in scene.controls}
         _fmu.write(
-            path,
+            _files._file(path),
             self.name,
             f"{self.name}: {self.problem.title}",
             header,
             f"{found[1]}(x, u);",
             scene.states,
-            scene.controls,
+            [described[name] for name in self.outputs],
             scene.reference,
             compiled,
         )
@@ -112,7 +116,7 @@ class Law:
         elif ending == ".fmu":
             self.to_fmu(path)
         elif ending == ".toml":
-            Path(path).write_text(self.to_toml(), encoding="utf-8")
+            _files.write(path, self.to_toml())
         else:
             raise InputError(f"{path}: name a file .toml (weights), .h (C), .onnx or .fmu")
 
@@ -123,5 +127,17 @@ class Law:
 def load_law(path, problem: Problem) -> Law:
     """The law of a weights file (``path``, ``.toml``) for a ``problem`` with its states and controls."""
     path = Path(path)
-    text = path.read_text(encoding="utf-8")
+    if not hasattr(problem, "_scene"):
+        raise InputError(f"problem = {problem!r}: a Problem is needed")
+    if path.suffix.lower() in (".onnx", ".fmu", ".h", ".h5"):
+        raise InputError(f"{path}: a law is read from its weights file, .toml")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is no weights file (.toml)") from None
     return Law(_engine.Law.parse(path.stem, text, str(path), problem._scene), problem)
+
+
+def _restored(name, text, problem):
+    """A law that was pickled."""
+    return Law(_engine.Law.parse(name, text, name, problem._scene), problem)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from . import _options
 from .errors import InputError
 
 #: M. Okabe, K. Ito, Color Universal Design (2008), without the yellow: classes that the colour-blind
@@ -51,11 +52,34 @@ def _plane(ds, axes) -> tuple[str, str]:
         if len(states) < 2:
             raise InputError("a plane needs two states")
         return states[0], states[1]
+    axes = _options.words(axes)
+    if len(axes) != 2 or axes[0] == axes[1]:
+        raise InputError(f"axes = {axes}: two different states")
     x, y = axes
     for name in (x, y):
         if name not in states:
             raise InputError(f"{name} is no state ({', '.join(states)})")
     return x, y
+
+
+def _levels(v, wanted):
+    """Levels of contours: as the report has them, 1, 2, 5 times powers of ten up to the largest V where V
+    is nowhere negative, else evenly spaced."""
+    import numpy as np
+
+    least, most = np.nanmin(v), np.nanmax(v)
+    if wanted is not None and not isinstance(wanted, int):
+        levels = np.unique(np.asarray(wanted, dtype=float))
+        if levels.size < 2 or not np.isfinite(levels).all():
+            raise InputError("levels: two finite numbers at least")
+        return levels
+    if wanted is None and most > 0 and least >= -1e-9 * abs(most):
+        top = int(np.ceil(np.log10(most)))
+        steps = [f * 10.0**e for e in range(top - 4, top + 1) for f in (1, 2, 5)]
+        inside = [s for s in steps if most * 1e-3 < s < most * 0.93]
+        return np.array([min(0.0, least), *inside, most])
+    count = BANDS if wanted is None else _options.whole("levels", wanted, 1, 1000)
+    return np.linspace(least, most, count + 1) if most > least else np.array([least - 1, least, least + 1])
 
 
 class Pictures:
@@ -90,12 +114,37 @@ class Pictures:
             raise InputError("V is no grid here: p.map(), v.grid() or p.solve() with axes make one")
         return ds, left
 
-    def contours(self, *, levels=None, ax=None, colorbar=True, **at):
-        """V over a plane as filled contours, with the lines where the cheapest sheet changes.
+    def save(self, path):
+        """Copies the result file that it was made of to ``path``."""
+        import shutil
+
+        from . import _files
+
+        file = _files.file_of(self._ds)
+        shutil.copyfile(file.path, _files._file(_options.out(path)))
+
+    def _quantity(self, ds, name):
+        """A variable, or a component of p or u, and its label."""
+        if name in ("V", "V_error", "p_error", "u_error") and name in ds:
+            return ds[name], _label(ds, name)
+        if name.startswith("p_") and name[2:] in _states(ds):
+            return ds.p.sel(state=name[2:]), name
+        if "control" in ds.coords and name in ds.coords["control"].values:
+            return ds.u.sel(control=name), _label(ds, name)
+        raise InputError(f"{name} is neither V, an error, a control nor p_STATE")
+
+    def contours(self, quantity="V", *, levels=None, ax=None, colorbar=True, **at):
+        """V, or a component of p or u, over a plane as filled contours, with the lines where the cheapest
+        sheet changes.
 
         Parameters
         ----------
+        quantity : str
+            ``"V"``, ``"V_error"``, the name of a control, or ``"p_NAME"`` of a state.
         levels : int or list of float
+            Bands, or where they end; default: the report's.
+        ax : matplotlib axes
+        colorbar : bool
         **at : float
             Where the plane lies, by name, where V has more than two axes; those not named lie at the
             middle of their axis.
@@ -103,28 +152,42 @@ class Pictures:
         import numpy as np
 
         ds, left = self._grid(at)
+        at = {name: float(ds[name]) for name in at}
         for name in left[2:]:
             middle = ds[name].values[len(ds[name]) // 2]
             ds = ds.sel({name: middle})
-        if len(left) < 2:
+            at[name] = float(middle)
+        if len(left) < 2 or min(ds.sizes[n] for n in left[:2]) < 2:
             raise InputError("V has one axis here: slice() draws it")
         x, y = left[:2]
-        ax = _axes(ax)
-        v = ds.V.transpose(y, x).values
+        values, label = self._quantity(ds, quantity)
+        v = values.transpose(y, x).values
         if not np.isfinite(v).any():
-            raise InputError("V is known nowhere in this plane")
-        if levels is None or isinstance(levels, int):
-            levels = np.linspace(np.nanmin(v), np.nanmax(v), (levels or BANDS) + 1)
-        drawn = ax.contourf(ds[x].values, ds[y].values, v, levels=levels, cmap="viridis")
-        ax.contour(ds[x].values, ds[y].values, v, levels=levels, colors="k", linewidths=0.3)
+            raise InputError(f"{quantity} is known nowhere in this plane")
+        ax = _axes(ax)
+        if quantity == "V":
+            levels = _levels(v, levels)
+        else:
+            levels = _levels(v, BANDS if levels is None else levels)
+        colours = {"cmap": "viridis"}
+        if levels[0] >= 0 and quantity == "V":
+            from matplotlib.colors import BoundaryNorm
+
+            colours["norm"] = BoundaryNorm(levels, 256)
+        drawn = ax.contourf(ds[x].values, ds[y].values, v, levels=levels, **colours)
+        lines = ax.contour(ds[x].values, ds[y].values, v, levels=levels, colors="k", linewidths=0.3)
+        ax.clabel(lines, fontsize="x-small", fmt="%g")
         if "sheet" in ds:
             sheet = ds.sheet.transpose(y, x).values.astype(float)
-            sheet[~np.isfinite(v)] = np.nan
+            # About the equilibrium the local solution is no sheet of its own.
+            sheet[~np.isfinite(v) | (sheet < 0)] = np.nan
             self._changes(ax, ds[x].values, ds[y].values, sheet)
         if colorbar:
-            ax.figure.colorbar(drawn, ax=ax, label=_label(ds, "V"))
+            ax.figure.colorbar(drawn, ax=ax, label=label)
         ax.set_xlabel(_label(ds, x))
         ax.set_ylabel(_label(ds, y))
+        where = ", ".join(f"{name} = {value:g}" for name, value in at.items())
+        ax.set_title(quantity + (f" at {where}" if where else ""))
         return ax
 
     @staticmethod
@@ -172,17 +235,15 @@ class Pictures:
         if not left:
             raise InputError("no axis is left to draw along")
         x = left[0]
-        if quantity == "V":
-            values, label = ds.V, _label(ds, "V")
-        elif quantity.startswith("p_") and quantity[2:] in _states(ds):
-            values, label = ds.p.sel(state=quantity[2:]), quantity
-        elif "control" in ds.coords and quantity in ds.coords["control"].values:
-            values, label = ds.u.sel(control=quantity), _label(ds, quantity)
-        else:
-            raise InputError(f"{quantity} is neither V, a control nor p_STATE")
+        values, label = self._quantity(ds, quantity)
         ax = _axes(ax)
         place, values = ds[x].values, values.values
         sheets = ds.sheet.values if "sheet" in ds else np.zeros(len(place), int)
+        if (sheets >= 0).any():
+            # About the equilibrium the local solution belongs to the sheet beside it.
+            numbered = np.flatnonzero(sheets >= 0)
+            nearest = np.abs(place[:, None] - place[numbered]).argmin(axis=1)
+            sheets = np.where(sheets < 0, sheets[numbered][nearest], sheets)
         for k, sheet in enumerate(np.unique(sheets[np.isfinite(values)])):
             shown = np.where(sheets == sheet, values, np.nan)
             ax.plot(place, shown, ".-", color=CLASSES[k % len(CLASSES)], label=f"sheet {sheet}")
@@ -206,6 +267,7 @@ class Pictures:
         import numpy as np
 
         x, y = _plane(self._ds, axes)
+        count = _options.whole("count", count, 1)
         ax = _axes(ax)
         lines, v = self._lines(count)
         ds = self._ds
@@ -268,7 +330,7 @@ class Pictures:
         import numpy as np
 
         ds = self._ds
-        lines, _ = self._lines(count)
+        lines, _ = self._lines(_options.whole("count", count, 1))
         states = _states(ds)
         controls = [str(n) for n in ds.coords["control"].values] if "control" in ds.coords else []
         if axes is None:
@@ -291,8 +353,16 @@ class Pictures:
 
 
 def register() -> None:
-    """Makes pictures an accessor of Datasets, once."""
+    """Makes pictures an accessor of Datasets and of nodes of DataTrees, once."""
     import xarray as xr
+
+    def of_node(node):
+        from . import _files
+
+        ds = node.to_dataset()
+        return Pictures(_files._held(ds, _files.file_of(node)))
 
     if not hasattr(xr.Dataset, "costate"):
         xr.register_dataset_accessor("costate")(Pictures)
+    if not hasattr(xr.DataTree, "costate"):
+        xr.register_datatree_accessor("costate")(of_node)

@@ -1,49 +1,92 @@
-"""States that are given in one of many ways."""
+"""States that are given as arrays, Datasets, tables or by name."""
 
 from __future__ import annotations
+
+import re
+from collections.abc import Mapping
 
 from . import _files
 from .errors import InputError
 
 
-def identifier(name: str) -> str:
-    if not (name.isascii() and name.isidentifier()):
-        raise InputError(f"name = {name!r}: an identifier of C")
+def identifier(name):
+    """A name that is one in C, too."""
+    if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name)):
+        raise InputError(f"{name!r} is no name in C: letters, digits and _")
     return name
 
 
-class Places:
-    """States that were given in one of many ways, and the dimensions of what is found there."""
+def numbers(values, what):
+    """An array of float of what converts safely."""
+    import numpy as np
 
-    def __init__(self, problem, points, named):
+    try:
+        array = np.asarray(values)
+        if array.dtype == object:
+            # Fractions, decimals and the like are numbers, too.
+            array = array.astype(float)
+    except (TypeError, ValueError) as wrong:
+        raise InputError(f"{what}: {wrong}") from None
+    if array.dtype == bool or not np.can_cast(array.dtype, float, "same_kind"):
+        raise InputError(f"{what}: {array.dtype} is no number")
+    return np.ma.filled(np.ma.asarray(values, dtype=float), np.nan) if np.ma.isMA(values) else array.astype(float)
+
+
+def by_name(problem, points):
+    """States by name of what has names; None for an array."""
+    import xarray as xr
+
+    names = problem.states
+    listed = ", ".join(names)
+    if isinstance(points, Mapping) and not isinstance(points, xr.Dataset):
+        return dict(points)
+    if isinstance(points, xr.DataTree):
+        points = points.to_dataset()
+    if isinstance(points, xr.DataArray):
+        if "state" not in points.dims:
+            return None
+        if "state" not in points.coords:
+            if points.sizes["state"] != len(names):
+                raise InputError(f"the points have {points.sizes['state']} states; needed are {listed}")
+            return {n: points.isel(state=k) for k, n in enumerate(names)}
+        missing = [n for n in names if n not in points.coords["state"].values]
+        if missing:
+            raise InputError(f"the points have no state {missing[0]}; needed are {listed}")
+        parts = {n: points.sel(state=n) for n in names}
+        return {n: part.drop_vars("state", errors="ignore") for n, part in parts.items()}
+    if isinstance(points, xr.Dataset):
+        # A result's own states, unless it has them as coordinates.
+        if "x0" in points and "state" in points.x0.dims and not all(n in points.coords for n in names):
+            return by_name(problem, points.x0)
+        given = {n: points[n] for n in names if n in points.variables}
+        if not given:
+            there = ", ".join(map(str, points.variables)) or "nothing"
+            raise InputError(f"the Dataset names no state ({listed}); it has {there}")
+        return given
+    if hasattr(points, "columns") and hasattr(points, "to_numpy"):
+        columns = list(points.columns)
+        if not any(c in names for c in columns):
+            raise InputError(f"the table has no column of a state ({listed})")
+        return {c: ("point", numbers(points[c], str(c))) for c in columns}
+    return None
+
+
+class Places:
+    """States that were given in one of many ways, and the dimensions of what is found there.
+
+    ``finite``: states that are no finite numbers are refused.
+    """
+
+    def __init__(self, problem, points, named, *, finite=True):
         import numpy as np
         import xarray as xr
 
         if points is not None and named:
             raise InputError("states are given as points or by name, not both")
         names = problem.states
-        self._one = points is None and not named
-        if hasattr(points, "to_xarray") and not isinstance(points, (xr.Dataset, xr.DataArray)):
-            named = {c: ("point", np.asarray(points[c])) for c in points.columns}
-        elif isinstance(points, xr.Dataset):
-            named = {n: points[n] for n in names if n in points.variables}
-        elif isinstance(points, xr.DataArray) and "state" in points.dims:
-            named = {n: points.sel(state=n) for n in names} if "state" in points.coords else {
-                n: points.isel(state=k) for k, n in enumerate(names)
-            }
-            named = {n: v.drop_vars("state", errors="ignore") for n, v in named.items()}
-        elif points is not None:
-            rows = np.asarray(points)
-            if rows.dtype == object or not np.can_cast(rows.dtype, float, "same_kind"):
-                raise InputError(f"points of {rows.dtype} are no states")
-            rows = rows.astype(float)
-            if rows.ndim == 1:
-                rows = rows[None, :]
-            if rows.ndim != 2 or rows.shape[1] != len(names):
-                raise InputError(
-                    f"points have the shape {np.shape(points)}; needed is (N, {len(names)}): {', '.join(names)}"
-                )
-            named = {n: ("point", rows[:, k]) for k, n in enumerate(names)}
+        if points is not None:
+            found = by_name(problem, points)
+            named = self._rows(points, names) if found is None else found
         unknown = [n for n in named if n not in names]
         if unknown:
             raise InputError(f"{unknown[0]} is no state of the scene ({', '.join(names)})")
@@ -51,13 +94,10 @@ class Places:
         arrays = {}
         for name in names:
             given = named.get(name, problem.reference[name])
-            if isinstance(given, tuple):
-                given = xr.DataArray(np.asarray(given[1], dtype=float), dims=given[0])
+            if isinstance(given, tuple) and len(given) == 2 and isinstance(given[0], str):
+                given = xr.DataArray(numbers(given[1], name), dims=given[0])
             elif not isinstance(given, xr.DataArray):
-                values = np.asarray(given)
-                if not np.can_cast(values.dtype, float, "same_kind"):
-                    raise InputError(f"{name} of {values.dtype} is no number")
-                values = values.astype(float)
+                values = numbers(given, name)
                 if values.ndim > 1:
                     raise InputError(
                         f"{name} has {values.ndim} dimensions: give a DataArray that names them"
@@ -66,21 +106,37 @@ class Places:
                 if values.ndim:
                     given = given.assign_coords({name: values})
             arrays[name] = given
-        broadcast = xr.broadcast(*arrays.values())
+        try:
+            broadcast = xr.broadcast(*arrays.values())
+        except ValueError as wrong:
+            raise InputError(f"the states do not fit together: {wrong}") from None
         self.names = names
-        self.arrays = dict(zip(names, broadcast))
         self._given = arrays
         self.dims = broadcast[0].dims
         self.shape = broadcast[0].shape
         self.coords = broadcast[0].coords
-        columns = [np.asarray(b.transpose(*self.dims), dtype=float).ravel() for b in broadcast]
+        columns = [
+            numbers(b.transpose(*self.dims).values, n).ravel() for n, b in zip(names, broadcast)
+        ]
         self.x = np.ascontiguousarray(np.stack(columns, axis=-1))
         wrong = np.argwhere(~np.isfinite(self.x))
-        if len(wrong):
+        if finite and len(wrong):
             row, column = wrong[0]
             raise InputError(
                 f"state {row} (from 0): {names[column]} = {self.x[row, column]} is no finite number"
             )
+
+    @staticmethod
+    def _rows(points, names):
+        """An array (N, states) by name."""
+        rows = numbers(points, "points")
+        if rows.ndim == 1:
+            rows = rows[:, None] if len(names) == 1 else rows[None, :]
+        if rows.ndim != 2 or rows.shape[1] != len(names):
+            raise InputError(
+                f"points have the shape {rows.shape}; needed is (N, {len(names)}): {', '.join(names)}"
+            )
+        return {n: ("point", rows[:, k]) for k, n in enumerate(names)}
 
     def shaped(self, found):
         """What was found at `point`s over the dimensions that were given."""
@@ -88,26 +144,33 @@ class Places:
 
         if self.dims == ("point",):
             # As it is, with what else was known of the points.
-            return _files._held(found.assign_coords(dict(self.coords)), _files.file_of(found))
+            added = {k: v for k, v in self.coords.items() if k == "point" or k not in found.variables}
+            return _files._held(found.assign_coords(added), _files.file_of(found))
+        # What is called like something of the result is told apart.
+        taken = set(found.variables) | set(found.dims)
+        labels = {n: f"state_{n}" if n in taken else n for n in self.names}
+        for name in self.dims:
+            if name in taken and name not in labels:
+                raise InputError(f"a dimension {name} is the result's own: rename it")
+        dims = tuple(labels.get(d, d) for d in self.dims)
         variables, coords = {}, {}
         for name, variable in found.variables.items():
             if name == "point":
                 continue
             if variable.dims[:1] == ("point",):
                 values = variable.values.reshape(self.shape + variable.shape[1:])
-                variable = xr.Variable(self.dims + variable.dims[1:], values, variable.attrs)
+                variable = xr.Variable(dims + variable.dims[1:], values, variable.attrs)
             (coords if name in found.coords else variables)[name] = variable
         made = xr.Dataset(variables, coords, found.attrs)
         units = dict(zip(self.names, found.coords["state_units"].values)) if "state_units" in found.coords else {}
         for name in self.names:
-            given = self._given[name]
-            if given.ndim <= 1:
-                made = made.assign_coords({name: given.variable})
-            else:
-                made = made.assign_coords({name: (given.dims, given.values)})
-            if name in units:
-                made[name].attrs["units"] = units[name]
-        extra = {k: v for k, v in self.coords.items() if k not in made.coords}
+            given, label = self._given[name], labels[name]
+            own = tuple(labels.get(d, d) for d in given.dims)
+            attributes = {**given.attrs, **({"units": units[name]} if name in units else {})}
+            made = made.assign_coords({label: (own, given.values, attributes)})
+        extra = {
+            k: v for k, v in self.coords.items() if k not in made.variables and k not in self.names
+        }
         return _files._held(made.assign_coords(extra), _files.file_of(found))
 
 
@@ -116,18 +179,24 @@ def states_of(problem, x, named):
     import numpy as np
 
     names = problem.states
-    if x is None:
+    if x is not None and named:
+        raise InputError("states are given as an array or by name, not both")
+    if x is not None:
+        found = by_name(problem, x)
+        if found is not None:
+            places = Places(problem, found, {}, finite=False)
+            return places.x, places.shape
+    else:
         unknown = [n for n in named if n not in names]
         if unknown:
             raise InputError(f"{unknown[0]} is no state of the scene ({', '.join(names)})")
         reference = problem.reference
-        columns = [np.asarray(named.get(n, reference[n]), dtype=float) for n in names]
-        x = np.stack(np.broadcast_arrays(*columns), axis=-1)
-    elif named:
-        raise InputError("states are given as an array or by name, not both")
-    x = np.asarray(x)
-    if not np.can_cast(x.dtype, float, "same_kind"):
-        raise InputError(f"states of {x.dtype} are no numbers")
+        columns = [numbers(named.get(n, reference[n]), n) for n in names]
+        try:
+            x = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        except ValueError as wrong:
+            raise InputError(f"the states do not fit together: {wrong}") from None
+    x = numbers(x, "states")
     if x.ndim == 0 and len(names) == 1:
         x = x[None]
     if x.ndim == 0 or x.shape[-1] != len(names):

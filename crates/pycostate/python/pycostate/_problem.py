@@ -4,68 +4,69 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
-import warnings
 from collections.abc import Mapping
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import _engine, _files, _toml
+from . import _engine, _files, _options, _toml
 from ._check import Check
 from ._law import Law
-from ._places import Places, identifier
-from ._value import Value
-from .errors import CostateWarning, InputError, Interrupted
+from ._places import Places, identifier, numbers
+from ._value import Value, counts_of, refuse_axes
+from .errors import InputError, Interrupted, OutOfTime, warn
 
 if TYPE_CHECKING:
     import xarray as xr
 
-_NUMERICS: dict[str, Any] = {
-    "backend": "auto",
-    "adapter": None,
-    "precision": None,
-    "method": None,
-    "rtol": None,
-    "seed": 0,
-    "time_limit": None,
-    "progress": None,
-}
-
-
-if sys.platform == "linux":
-    # The Vulkan loader complains on standard error where this is unset, though nothing needs it.
-    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
-
-
-def _note(text: str) -> None:
-    warnings.warn(text, CostateWarning, stacklevel=4)
-
-
-def _progress(wanted):
-    """A callable for the steps of a computation, and what ends it."""
-    if wanted is None or wanted is False:
-        return None, lambda: None
-    if callable(wanted):
-        return wanted, lambda: None
-    try:
-        from tqdm.auto import tqdm
-    except ModuleNotFoundError:
-        return None, lambda: None
-    bar = tqdm(bar_format="{desc} [{elapsed}]", leave=False)
-
-    def show(step):
-        bar.set_description_str(step or "", refresh=True)
-
-    return show, bar.close
+#: Sections that say which problem it is; the others say what is asked of it.
+_ESSENCE = (
+    "states",
+    "controls",
+    "disturbances",
+    "dynamics",
+    "mechanism",
+    "definitions",
+    "cost",
+    "equilibrium",
+    "guards",
+)
 
 
 def _assignments(values: Mapping) -> list[tuple[str, str]]:
-    def text(value):
-        return value if isinstance(value, str) else repr(float(value))
+    def text(name, value):
+        if isinstance(value, str):
+            return value
+        try:
+            return repr(float(value))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"parameter {name} = {value!r}: a number, or an expression of earlier parameters as a text"
+            ) from None
 
-    return [(name, text(value)) for name, value in values.items()]
+    return [(name, text(name, value)) for name, value in values.items()]
+
+
+def _table(what: str, value) -> dict:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise InputError(f"{what} = {value!r}: a dict by name")
+    return dict(value)
+
+
+def _declared(what: str, value):
+    """Names with what is said of each."""
+    if value is None:
+        return None
+    if isinstance(value, str):
+        value = [value]
+    if not isinstance(value, Mapping):
+        try:
+            value = dict.fromkeys(value)
+        except TypeError:
+            raise InputError(f"{what} = {value!r}: names, or a dict by name") from None
+    return {name: {} if said is None else said for name, said in value.items()}
 
 
 class Problem:
@@ -113,33 +114,30 @@ class Problem:
         name="problem.toml",
         **sections,
     ):
-        cost = dict(sections.pop("cost", {}))
-        for key, value in (
-            ("running", running),
-            ("terminal", terminal),
-            ("final_time", final_time),
-        ):
-            if value is not None:
-                cost[key] = value
-
-        def named(what):
-            if what is None or isinstance(what, Mapping):
-                return what
-            return {n: {} for n in ([what] if isinstance(what, str) else what)}
-
+        cost = _table("cost", sections.pop("cost", None))
+        own = {"running": running, "terminal": terminal, "final_time": final_time}
+        for key, value in own.items():
+            if value is not None and cost.setdefault(key, value) != value:
+                raise InputError(f"{key} is given twice, also in cost")
+        if isinstance(controls, Mapping):
+            # Bounds alone.
+            controls = {
+                name: dict(zip(("min", "max"), said)) if isinstance(said, tuple) and len(said) == 2 else said
+                for name, said in controls.items()
+            }
         if "disturbances" in sections:
-            sections["disturbances"] = named(sections["disturbances"])
+            sections["disturbances"] = _declared("disturbances", sections["disturbances"])
         plain = {k: v for k, v in sections.items() if not isinstance(v, Mapping)}
         rest = {k: v for k, v in sections.items() if isinstance(v, Mapping)}
         parts = {
-            "states": named(states),
-            "controls": named(controls),
+            "states": _declared("states", states),
+            "controls": _declared("controls", controls),
             "dynamics": dynamics,
             "cost": cost or None,
         }
         parts = {k: v for k, v in parts.items() if v is not None}
         text = _toml.dumps({**plain, **parts, **rest})
-        self._begin(_engine.Scene.parse(text, name, []), dict(_NUMERICS))
+        self._begin(_engine.Scene.parse(text, _options.path("name", name), []), dict(_options.NUMERICS))
 
     def _begin(self, scene, numerics):
         self._scene = scene
@@ -148,17 +146,17 @@ class Problem:
     @classmethod
     def _of(cls, scene, numerics=None):
         made = cls.__new__(cls)
-        made._begin(scene, dict(numerics or _NUMERICS))
+        made._begin(scene, dict(numerics or _options.NUMERICS))
         return made
 
     @classmethod
-    def load(cls, path, **set) -> Problem:
+    def load(cls, path, /, **set) -> Problem:
         """Reads a scene's file, ``path``; ``set`` are parameters in place of the file's (numbers, or
         expressions of earlier parameters)."""
-        return cls._of(_engine.Scene.load(os.fspath(path), _assignments(set)))
+        return cls._of(_engine.Scene.load(_options.path("path", path), _assignments(set)))
 
     @classmethod
-    def parse(cls, text: str, name: str = "scene.toml", **set) -> Problem:
+    def parse(cls, text: str, /, name: str = "scene.toml", **set) -> Problem:
         """Reads a scene's ``text``, with ``set`` as in :meth:`load`; ``name`` is what errors call it."""
         return cls._of(_engine.Scene.parse(text, name, _assignments(set)))
 
@@ -169,7 +167,7 @@ class Problem:
 
     # Other problems.
 
-    def set(self, **values) -> Problem:
+    def set(self, /, **values) -> Problem:
         """The same with other values of its parameters; what follows from them follows."""
         given = dict(self._scene.set)
         given.update(_assignments(values))
@@ -184,7 +182,10 @@ class Problem:
         >>> p.having(map={"error": 1e-3}, homotopy=None)
         """
         text = _toml.dumps(_toml.merged(_toml.loads(self._scene.text), sections))
-        scene = _engine.Scene.parse(text, self._scene.file_name, self._scene.set)
+        # What is given here is newer than what was set.
+        newer = sections.get("parameters", {})
+        kept = [(k, v) for k, v in self._scene.set if newer is not None and k not in newer]
+        scene = _engine.Scene.parse(text, self._scene.file_name, kept)
         return self._of(scene, self._numerics)
 
     def using(self, **numerics) -> Problem:
@@ -209,22 +210,13 @@ class Problem:
 
         All methods that compute take these, too.
         """
-        return self._of(self._scene, {**self._numerics, **self._known(numerics)})
-
-    @staticmethod
-    def _known(numerics):
-        for name in numerics:
-            if name not in _NUMERICS:
-                raise TypeError(
-                    f"{name} is no option: there are {', '.join(sorted(_NUMERICS))}"
-                )
-        return numerics
+        return self._of(self._scene, {**self._numerics, **_options.known(numerics)})
 
     # What it is.
 
     @property
     def text(self) -> str:
-        """The scene, as TOML."""
+        """The scene, as TOML; parameters that were :meth:`set` are not in it (:meth:`save` writes them)."""
         return self._scene.text
 
     @property
@@ -258,8 +250,28 @@ class Problem:
         return {n: tuple(b) for n, b in zip(self.states, self._scene.region)}
 
     def save(self, path) -> None:
-        """Writes the scene's file, ``path``."""
-        Path(path).write_text(self.text, encoding="utf-8")
+        """Writes the scene's file, ``path``; parameters are what they were :meth:`set` to."""
+        _files.write(path, self._full_text())
+
+    def _full_text(self) -> str:
+        """The scene with what was set."""
+        if not self._scene.set:
+            return self.text
+        tree = _toml.loads(self.text)
+        for name, value in self._scene.set:
+            try:
+                tree["parameters"][name] = float(value)
+            except ValueError:
+                tree["parameters"][name] = value
+        return _toml.dumps(tree)
+
+    def __reduce__(self):
+        scene = self._scene
+        numerics = {k: v for k, v in self._numerics.items() if k != "progress"}
+        return _restored, (scene.text, scene.file_name, scene.set, numerics)
+
+    def __deepcopy__(self, memo):
+        return self
 
     def __repr__(self):
         return f"<pycostate.Problem {self.title!r}: states {', '.join(self.states)}; controls {', '.join(self.controls)}>"
@@ -273,37 +285,35 @@ class Problem:
         """What follows from the problem: equations, the local solution, guards."""
         text, summary, notes = self._scene.check()
         for note in notes:
-            warnings.warn(note, CostateWarning, stacklevel=2)
+            warn(note)
         return Check(text, json.loads(summary))
 
     # What it computes.
 
-    def _named(self, options) -> dict:
-        """States that are given by name, taken from among options."""
-        return {k: options.pop(k) for k in self.states if k in options}
+    def _named(self, given, taken=()) -> tuple[dict, dict]:
+        """States that are given by name, and options; ``taken`` are options that a state is called like."""
+        for name, value in taken:
+            if name in self.states and value:
+                raise InputError(f"{name} is a state and an option: give the states as points")
+        named = {k: v for k, v in given.items() if k in self.states}
+        rest = {k: v for k, v in given.items() if k not in named}
+        return named, _options.known(rest, self.states)
 
-    @contextmanager
     def _how(self, numerics):
-        """How to compute: the problem's options with those of a call, and who is told."""
-        how = {**self._numerics, **self._known(numerics), "note": _note}
-        how["progress"], close = _progress(how["progress"])
-        try:
-            yield how
-        finally:
-            close()
+        """How to compute: the problem's options with those of a call."""
+        return _options.how({**self._numerics, **_options.known(numerics)})
 
     def _do(self, compute, numerics, out, group=None):
         """Computes into a file; a group of it as a Dataset, or all as a DataTree."""
-        with _files.Target(out) as target:
-            with self._how(numerics) as how:
-                path, _, stopped, interrupted = compute(target.path, how)
+        with self._how(numerics) as how, _files.Target(_options.out(out)) as target:
+            path, _, stopped, interrupted = compute(target.path, how)
             file = target.file(path)
         if interrupted is not None and not isinstance(interrupted, KeyboardInterrupt):
             raise interrupted
         made = None
         if group is None:
             made = _files.tree(file)
-        elif not stopped or _files.has(file, group):
+        elif _files.has(file, group):
             made = _files.dataset(file, group)
         if interrupted is not None:
             raise Interrupted(
@@ -311,10 +321,10 @@ class Problem:
                 made,
             ) from interrupted
         if stopped:
-            warnings.warn(
-                "ended by the time limit before all was done", CostateWarning, stacklevel=3
-            )
-        return made
+            if made is None:
+                raise OutOfTime("the time limit came before there was anything to show")
+            warn("ended by the time limit before all was done")
+        return _files.root(file) if made is None else made
 
     def _run(self, what, x, options, numerics, out, group):
         def compute(path, how):
@@ -335,7 +345,7 @@ class Problem:
         grid_guesses : bool
             First guesses also come from V on a grid.
         """
-        options = {"kept": keep, "grid_guesses": grid_guesses}
+        options = {"kept": keep, "grid_guesses": _options.yes("grid_guesses", grid_guesses)}
         return self._run("run", None, options, numerics, out, None)
 
     def sweep(self, *, out=None, keep="all", **numerics) -> xr.Dataset:
@@ -368,7 +378,7 @@ class Problem:
         **numerics
             The options of :meth:`using`.
         """
-        options = {"grid_guesses": grid_guesses}
+        options = {"grid_guesses": _options.yes("grid_guesses", grid_guesses)}
         return self._run("homotopy", None, options, numerics, out, None)
 
     def solve(
@@ -413,16 +423,19 @@ class Problem:
             (a control each), sheet, status, evidence and so on. A state without an answer has V = NaN
             and a status that says why.
         """
-        named = self._named(states_and_numerics)
+        taken = (("out", out), ("samples", samples != 200), ("trajectories", trajectories))
+        named, numerics = self._named(states_and_numerics, taken)
         places = Places(self, points, named)
+        if not len(places.x):
+            raise InputError("no states are given")
         options = {
-            "one_sheet": one_sheet,
-            "samples": int(samples) if trajectories else None,
-            "grid_guesses": grid_guesses,
+            "one_sheet": _options.yes("one_sheet", one_sheet),
+            "samples": _options.whole("samples", samples, 2, 100_000) if trajectories else None,
+            "grid_guesses": _options.yes("grid_guesses", grid_guesses),
         }
         group = None if trajectories else "points"
         try:
-            made = self._run("solve", places.x, options, states_and_numerics, out, group)
+            made = self._run("solve", places.x, options, numerics, out, group)
         except Interrupted as stopped:
             if group is not None and stopped.result is not None:
                 stopped.result = places.shaped(stopped.result)
@@ -435,8 +448,9 @@ class Problem:
         Parameters
         ----------
         error : float
-            The largest error of V wanted: the map is then in pieces, which :meth:`value` evaluates
-            anywhere. Without it the scene's ``[map]`` counts.
+            The largest error of V wanted, as a share of V (near 0, of a floor: ``floor`` in the result's
+            attributes): the map is then in pieces, which :meth:`value` evaluates anywhere. Where it is not
+            met is counted (``share_unmet``). Without it the scene's ``[map]`` counts.
         value_max : float
             V up to which states count.
         counts : int or dict
@@ -450,23 +464,40 @@ class Problem:
         Returns
         -------
         xarray.Dataset
-            The result file's ``/map``: V, p, u over the states' axes, with errors where the map is in
-            pieces.
+            The result file's ``/map``: V, p, u over the states' axes (on a finite horizon at t = 0), with
+            errors where the map is in pieces.
         """
         problem = self
+        counts_of(self.states, counts)
+        refuse_axes(self)
         changes: dict[str, Any] = {"homotopy": None, "feedback": None, "closed_loop": None}
         if error is not None or value_max is not None:
-            own = {"error": error, "value_max": value_max}
-            changes["map"] = {k: float(v) for k, v in own.items() if v is not None}
+            own = {
+                "error": None if error is None else _options.number("error", error, low=0.0),
+                "value_max": None if value_max is None else _options.number("value_max", value_max),
+            }
+            changes["map"] = {k: v for k, v in own.items() if v is not None}
         there = _toml.loads(self.text)
+        if "map" not in there and "map" not in changes:
+            raise InputError("how exact a map? p.map(error=1e-3), or the problem's [map]")
         changes = {k: v for k, v in changes.items() if v is not None or k in there}
         if changes:
             problem = self.having(**changes)
-        tree = problem._run("homotopy", None, {}, numerics, out, None)
-        file = _files.file_of(tree)
-        if _files.has(file, "map_pieces"):
-            return Value(file).grid(counts=counts)
-        return _files.dataset(file, "map")
+
+        def shown(tree):
+            file = _files.file_of(tree)
+            if _files.has(file, "map_pieces"):
+                return Value(file).grid(counts=counts)
+            return _files.dataset(file, "map") if _files.has(file, "map") else None
+
+        try:
+            made = shown(problem._run("homotopy", None, {}, numerics, out, None))
+        except Interrupted as stopped:
+            stopped.result = None if stopped.result is None else shown(stopped.result)
+            raise
+        if made is None:
+            raise OutOfTime("the time limit came before there was a map")
+        return made
 
     def study(self, *, out=None, **numerics) -> xr.Dataset:
         """The scene's ``[study]``: ``/study`` as a Dataset, one row a variant. ``out`` is the result file;
@@ -505,9 +536,10 @@ class Problem:
         ----------
         law : Law, str or callable
             What controls: a fitted law, the name of one of the scene's (``"lqr"``), or any function of
-            states (N, states) that gives controls (N, controls), such as ``p.value(m).u``. None: the
-            scene's, or controls as they are at the equilibrium. A function is called by Python, a stage
-            of a step for all flights at once; controls are kept within their bounds.
+            states (N, states) that gives controls (N, controls), such as ``p.value(m).u``; one that has a
+            parameter ``t`` is given times (N,), too. None: the scene's, or controls as they are at the
+            equilibrium. A function is called by Python, a stage of a step for all flights at once (dopri5,
+            f64, ``rtol`` 1e-8); controls are kept within their bounds.
         x0 : array_like, Dataset
             States to begin with, as the points of :meth:`solve`; also by name.
         time : float
@@ -520,59 +552,68 @@ class Problem:
             An orbit is looked for that comes back to itself after so many events; 0: none. Not for
             functions.
         out : path
-            The result file; without it there is none that lasts. Not for functions.
+            The result file; without it there is none that lasts.
 
         Returns
         -------
         xarray.DataTree
             ``simulation``, ``simulation_events``, ``simulation_samples``, and ``cycles`` where orbits
-            were looked for. Under a function ``simulation`` has J, too, the running cost.
+            were looked for. Under a function ``simulation`` has J, too, the cost until the end.
         """
-        if callable(law) and not isinstance(law, Law):
-            asked = {"time": time, "events": events, "samples": samples}
-            return self._fly(law, x0, asked, cycle, out, states_and_numerics)
-        named = self._named(states_and_numerics)
+        if isinstance(law, Value):
+            law = law.u
+        asked = {
+            "time": None if time is None else _options.number("time", time, low=0.0),
+            "events": None if events is None else _options.whole("events", events, 1, 1_000_000),
+            "samples": None if samples is None else _options.whole("samples", samples, 0, 100_000),
+        }
+        cycle = None if cycle is None else _options.whole("cycle", cycle, 0, 1000)
+        taken = [("out", out), ("cycle", cycle), *asked.items()]
+        named, numerics = self._named(states_and_numerics, taken)
         x = Places(self, x0, named).x if x0 is not None or named else None
-        options = {"time": time, "events": events, "samples": samples, "cycle": cycle}
+        if x is not None and not len(x):
+            raise InputError("no states are given")
+        if callable(law) and not isinstance(law, Law):
+            return self._fly(law, x, asked, cycle, out, numerics)
+        options: dict[str, Any] = {**asked, "cycle": cycle}
+        if options["time"] is None and self._scene.simulation()[1] is None:
+            raise InputError("how long to simulate? time=, or the problem's [simulation] time")
         if isinstance(law, Law):
             options["weights"] = (law.name, law.to_toml())
-        elif law is not None:
+        elif isinstance(law, str):
             options["law"] = law
+        elif law is not None:
+            raise InputError("the law comes first, then the states: p.simulate(None, x0) for controls that are held")
 
         def compute(path, how):
             return _engine.simulate(self._scene, path, how, x, **options)
 
-        return self._do(compute, states_and_numerics, out)
+        return self._do(compute, numerics, out)
 
-    def _fly(self, law, x0, asked, cycle, out, states_and_numerics):
+    def _fly(self, law, x, asked, cycle, out, numerics):
+        import numpy as np
+
         from . import _functions
 
-        if cycle or out is not None:
-            raise InputError("cycle and out are not for laws of Python")
-        named = self._named(states_and_numerics)
+        if cycle:
+            raise InputError("cycle: no orbits are looked for under a law of Python")
+        for name in ("backend", "adapter", "precision", "method"):
+            if numerics.get(name) is not None:
+                raise InputError(f"{name}: a law of Python is flown in Python, by dopri5 in f64")
         starts, *own = self._scene.simulation()
         options = {
             name: given if asked[name] is None else asked[name]
             for name, given in zip(("time", "events", "samples"), own)
         }
-        if x0 is None and not named:
-            x0 = [starts[k : k + len(self.states)] for k in range(0, len(starts), len(self.states))]
-        x = Places(self, x0, named).x
-        time = options["time"]
-        if time is None or not 0 < float(time) < float("inf"):
-            raise InputError(f"time = {time}: how long to simulate?")
-        with self._how(states_and_numerics) as how:
-            rtol = 1e-8 if how["rtol"] is None else float(how["rtol"])
-
-            def tell(share):
-                if how["progress"] is not None:
-                    how["progress"](f"simulated: {100 * share:.0f} %")
-
+        if options["time"] is None:
+            raise InputError("how long to simulate? time=, or the problem's [simulation] time")
+        if x is None:
+            x = np.array(starts, dtype=float).reshape(-1, len(self.states))
+        with self._how(numerics) as how, _files.Target(_options.out(out)) as target:
             system = _engine.System(self._scene)
-            options = {"time": float(time), "events": int(options["events"]), "samples": int(options["samples"])}
-            done = _functions.fly(self, system, law, x, options, rtol, tell)
-        name = getattr(law, "__qualname__", type(law).__name__)
-        return _functions.tree(self, system, done, time, name, rtol)
+            done = _functions.fly(self, system, law, x, options, how)
+            file = target.file(system.write(target.path, done))
+        return _files.tree(file)
 
     def evaluate(
         self, result=None, *, laws=None, added=(), random=None, solve=False, out=None, **numerics
@@ -596,12 +637,16 @@ class Problem:
         **numerics
             The options of :meth:`using`.
         """
-        stored = None if result is None else _files.file_of(result)
+        stored = None if result is None else self._own(result)
+        added = [added] if isinstance(added, Law) else list(added)
+        for law in added:
+            if not isinstance(law, Law):
+                raise InputError("added: laws of costate; a function of Python is flown by p.simulate(function, x0), which tells its J")
         options = {
-            "laws": None if laws is None else list(laws),
+            "laws": None if laws is None else _options.words(laws),
             "weights": [(law.name, law.to_toml()) for law in added],
-            "random": random,
-            "solve": solve,
+            "random": None if random is None else _options.whole("random", random, 1),
+            "solve": _options.yes("solve", solve),
         }
 
         def compute(path, how):
@@ -613,12 +658,8 @@ class Problem:
     def local_to_c(self, path=None, *, degree=3, name="local") -> str:
         """The series of V and u about the equilibrium, u of a ``degree`` from 1 to 6, as a header of C whose
         names begin with ``name``; also written to the file ``path``."""
-        if degree not in range(1, 7):
-            raise InputError(f"degree = {degree}: a whole number from 1 to 6")
-        text = self._scene.local_to_c(identifier(name), int(degree))
-        if path is not None:
-            Path(path).write_text(text, encoding="utf-8")
-        return text
+        text = self._scene.local_to_c(identifier(name), _options.whole("degree", degree, 1, 6))
+        return _files.write(path, text)
 
     def bench(self, *, out=None, trajectories=4096, passes=None, **only) -> xr.DataTree:
         """Speed against error of every backend, precision, method and tolerance on the scene's own
@@ -643,8 +684,10 @@ class Problem:
                 raise TypeError(f"{name} is no option of bench")
             given = [given] if isinstance(given, (str, int, float)) else list(given)
             words += [f"--{name}", ",".join(map(str, given))]
-        with _files.Target(out) as target:
-            folder = target.folder or os.path.dirname(target.path)
+        with (
+            _files.Target(_options.out(out)) as target,
+            tempfile.TemporaryDirectory(dir=_files.folder()) as folder,
+        ):
             scene, options = _command.scene_file(self, folder)
             _command.command("bench", scene, *options, *words, "--out", target.path, "--quiet")
             file = target.file()
@@ -658,7 +701,7 @@ class Problem:
 
         from . import _command
 
-        with tempfile.TemporaryDirectory(prefix="pycostate-") as folder:
+        with tempfile.TemporaryDirectory(dir=_files.folder()) as folder:
             words: list[Any] = []
             if points is not None or states:
                 table = os.path.join(folder, "points.csv")
@@ -672,8 +715,25 @@ class Problem:
 
     def value(self, result) -> Value:
         """V, p and u at any state, interpolated from a result (a file, Dataset or DataTree)."""
+        return Value(self._own(result, is_told=True))
+
+    def _own(self, result, *, is_told=False) -> _files.ResultFile:
+        """The file of a result, which is to have this problem's states and controls."""
         file = _files.file_of(result)
-        return Value(file)
+        other = Problem.of(file)
+        for what in ("states", "controls"):
+            mine, its = getattr(self, what), getattr(other, what)
+            if mine != its:
+                raise InputError(
+                    f"this is a result of another problem: its {what} are {', '.join(its)}, not {', '.join(mine)}"
+                )
+        if is_told and self._essence() != other._essence():
+            warn("this is a result of another problem (other parameters, equations or cost), and V is that of it")
+        return file
+
+    def _essence(self) -> dict:
+        tree = _toml.loads(self.text)
+        return {**{k: tree.get(k) for k in _ESSENCE}, "parameters": self.parameters}
 
     def fit(
         self, result, *, names=None, starts=None, seed=None, directory=None, **numerics
@@ -696,25 +756,36 @@ class Problem:
         Law, or dict of Law
             By name, where there are several.
         """
-        file = _files.file_of(result)
+        file = self._own(result)
+        laws = _toml.loads(self.text).get("feedback", {})
+        if not laws:
+            raise InputError('the problem has no [feedback]: p.having(feedback={"NAME": {"fit": "u", ...}}) gives it one')
+        names = None if names is None else _options.words(names)
+        for name in names or ():
+            if name not in laws:
+                raise InputError(f"there is no law {name} in [feedback] ({', '.join(laws)})")
+        options = {
+            "names": names,
+            "starts": None if starts is None else _options.whole("starts", starts, 1, 1_000_000),
+            "seed": None if seed is None else _options.whole("seed", seed, 0, 2**64 - 1),
+        }
         with (
             self._how(numerics) as how,
-            tempfile.TemporaryDirectory(prefix="pycostate-") as folder,
+            tempfile.TemporaryDirectory(dir=_files.folder()) as folder,
         ):
             laws, left_out, interrupted = _engine.fit(
-                self._scene,
-                file.path,
-                os.fspath(directory or folder),
-                how,
-                names=None if names is None else list(names),
-                starts=starts,
-                seed=seed,
+                self._scene, file.path, os.path.abspath(directory or folder), how, **options
             )
+            file.changed()
         made = {law.name: Law(law, self) for law in laws}
         if interrupted is not None:
             raise Interrupted("ended before all laws were fitted", made) from interrupted
         if left_out:
-            warnings.warn(
-                f"no time was left for {', '.join(left_out)}", CostateWarning, stacklevel=2
-            )
+            warn(f"no time was left for {', '.join(left_out)}")
         return next(iter(made.values())) if len(made) == 1 and not left_out else made
+
+
+def _restored(text, name, set, numerics):
+    """A problem that was pickled."""
+    scene = _engine.Scene.parse(text, name, set)
+    return Problem._of(scene, {**_options.NUMERICS, **numerics})

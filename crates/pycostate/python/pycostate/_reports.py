@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import _engine, _files
+from . import _engine, _files, _options
+from .errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -63,15 +64,20 @@ def report(result, page=None, *, axes=None, slice=None, levels=(), width=None) -
     width : int
         Of the pictures, in pixels.
     """
+    if isinstance(levels, (int, float)):
+        levels = [levels]
+    axes = None if axes is None else _options.words(axes)
+    if axes is not None and len(axes) != 2:
+        raise InputError(f"axes = {axes}: two states")
     file = _files.file_of(result)
     page = file.path.with_name(file.path.stem + "_report.html") if page is None else Path(page)
     made = _engine.report(
         file.path,
         page,
-        axes=None if axes is None else list(axes),
-        slice=[(k, float(v)) for k, v in (slice or {}).items()],
-        levels=[float(v) for v in levels],
-        width=width,
+        axes=axes,
+        slice=[(k, _options.number(f"slice of {k}", v)) for k, v in (slice or {}).items()],
+        levels=[_options.number("levels", v) for v in levels],
+        width=None if width is None else _options.whole("width", width, 100, 10_000),
     )
     done = Report(*made)
     done.file = file

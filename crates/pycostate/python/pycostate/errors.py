@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import sys
+import warnings
+
 __all__ = [
     "CostateError",
     "CostateWarning",
@@ -69,3 +74,14 @@ class Interrupted(KeyboardInterrupt):
 
 class CostateWarning(UserWarning):
     """A remark that a run makes: the computation goes on, and its result is to be read with it."""
+
+
+def warn(text: str) -> None:
+    """Warns whoever has called the package."""
+    here, between = os.path.dirname(__file__), contextlib.__file__
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and (
+        os.path.dirname(frame.f_code.co_filename) == here or frame.f_code.co_filename == between
+    ):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, CostateWarning, stacklevel=level)
