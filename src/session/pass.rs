@@ -5,6 +5,7 @@ use super::estimates::Estimates;
 use super::progress::{Progress, Step};
 use super::wanted::{Kept, Targets, Wanted};
 use super::{Session, SessionError};
+use crate::backend::cpu::in_pool;
 use crate::backend::{Backend, BackendError, Deadline, Trajectories};
 use crate::dynamic_programming::{self, Device, Options, extent};
 use crate::map::{self, Adaptive};
@@ -170,15 +171,18 @@ impl Pass<'_> {
             let write = stores_sweep.then_some(write);
             outcome.swept = session.sweep_into(&outcome.plan, archive.as_mut(), write)?;
         }
-        if let Some(archive) = &mut archive {
-            session.solve_states(&mut outcome, archive, direct, grid_guesses)?;
-        }
-        if let (Some(aim), Some(archive)) = (aim, &archive) {
-            outcome.mapped = session.map_or_note(&outcome.plan, archive, aim)?;
-        }
-        if study {
-            outcome.variants = session.study_with(choices)?;
-        }
+        in_pool(|| {
+            if let Some(archive) = &mut archive {
+                session.solve_states(&mut outcome, archive, direct, grid_guesses)?;
+            }
+            if let (Some(aim), Some(archive)) = (aim, &archive) {
+                outcome.mapped = session.map_or_note(&outcome.plan, archive, aim)?;
+            }
+            if study {
+                outcome.variants = session.study_with(choices)?;
+            }
+            Ok::<_, SessionError>(())
+        })?;
 
         // Estimates would take longer than what they are of.
         outcome.stopped = session.is_over();

@@ -14,7 +14,7 @@ use super::observe::{self, Observed, Strip};
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
 use super::surface::Guarded;
-use crate::backend::cpu::Simd;
+use crate::backend::cpu::{Simd, in_pool};
 use crate::backend::{Backend, BackendError, Kernel, Status, Trajectories, batch_limit};
 use crate::local::SeedScratch;
 use crate::model::Precision;
@@ -137,7 +137,7 @@ pub fn sweep_keeping<E: From<BackendError>>(
     let observed = Observed::new(plan);
     let mut fronts = Fronts::new(plan, &observed);
     let Some(sink) = sink else {
-        fronts.sweep(kernel.as_mut(), progress, keep, None)?;
+        in_pool(|| fronts.sweep(kernel.as_mut(), progress, keep, None))?;
         return Ok(fronts.finished());
     };
     std::thread::scope(|scope| {
@@ -146,8 +146,10 @@ pub fn sweep_keeping<E: From<BackendError>>(
         let (back, used) = channel();
         let worker = scope.spawn(move || {
             let written = Written { send, used };
-            let swept = fronts.sweep(kernel.as_mut(), progress, keep, Some(&written));
-            swept.map(|()| fronts.finished())
+            in_pool(move || {
+                let swept = fronts.sweep(kernel.as_mut(), progress, keep, Some(&written));
+                swept.map(|()| fronts.finished())
+            })
         });
         let mut written = Ok(());
         for block in receive {

@@ -413,3 +413,16 @@ fn avx2<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) -> u
 fn avx512<T: real::Real, const W: usize>(job: &Job<'_>, out: &mut Output<'_>) -> u64 {
     job.integrate::<T, W, true>(out)
 }
+
+/// Stack of a thread that computes: what a main thread has, twice.
+const STACK: usize = 16 << 20;
+
+/// Does some work on a thread of the pool that computes. From another thread every parallel loop
+/// wakes the pool, and what waits for it sleeps: of many short loops that is a third of the time.
+pub fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    // It may be there already.
+    let _ = rayon::ThreadPoolBuilder::new()
+        .stack_size(STACK)
+        .build_global();
+    rayon::scope(|_| work())
+}
