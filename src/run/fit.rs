@@ -2,6 +2,7 @@
 
 use super::{RunError, STOPPED};
 use crate::backend::Deadline;
+use crate::backend::cpu::in_pool;
 use crate::feedback::{Exports, Fitted, Samples};
 use crate::files::{FileError, can_hold, make};
 use crate::hdf5::ResultFile;
@@ -175,7 +176,7 @@ pub(super) fn fit_into(
         draws: mapped,
         deadline,
     };
-    let fitted = fit_laws(&data, scene, laws, progress)?;
+    let fitted = in_pool(|| fit_laws(&data, scene, laws, progress))?;
     let left_out = &fitted.left_out;
     if !left_out.is_empty() && stored.group(FEEDBACK_GROUP).is_some() {
         let (laws, path) = (left_out.join(", "), stored.path.clone());

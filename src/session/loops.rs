@@ -2,6 +2,7 @@
 
 use super::progress::Finished;
 use super::{Session, SessionError};
+use crate::backend::cpu::in_pool;
 use crate::closed_loop::dissipation::{self, Certificate, Dissipation};
 use crate::closed_loop::{
     Available, Chart, Evaluation, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
@@ -91,14 +92,16 @@ impl Session<'_> {
         let values = if options.solve {
             let mut shown = step.states();
             let (model, h) = (&self.scene.model, &self.scene.hamiltonian);
-            solved_values(model, h, backend, self.choices, &initial.x, &mut shown)?
+            let x = &initial.x;
+            in_pool(|| solved_values(model, h, backend, self.choices, x, &mut shown))?
         } else {
             self.known_values(from, &initial)?
         };
-        let evaluation =
+        let evaluation = in_pool(|| {
             setting.evaluate(&chosen, initial, chart, Some(values), backend, &mut |law| {
                 step.say(&format!("closed loop of {law}"));
-            })?;
+            })
+        })?;
         drop(step);
 
         for law in evaluation.laws.iter().filter(|l| l.held > 0.0) {

@@ -31,6 +31,7 @@ pub use wanted::{Kept, Listed, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};
 use crate::backend::cpu::Cpu;
+use crate::backend::cpu::in_pool;
 use crate::backend::{Backend, BackendError, Deadline};
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::local::LocalError;
@@ -357,7 +358,9 @@ impl<'s> Session<'s> {
         let mut shown =
             |done: usize, of: usize| step.say(&format!("study: {done} of {of} variants"));
         let backend = self.backend.as_ref();
-        Ok(study::study(self.scene, backend, choices, &mut shown)?)
+        Ok(in_pool(|| {
+            study::study(self.scene, backend, choices, &mut shown)
+        })?)
     }
 
     /// The smallest levels of attenuation that the scene's `[attenuation]` asks for.
@@ -371,7 +374,8 @@ impl<'s> Session<'s> {
         let step = self.step();
         let mut shown = |what: &str| step.say(&format!("attenuation: {what}"));
         let backend = self.backend.as_ref();
-        let found = attenuation::smallest(self.scene, backend, self.choices, &mut shown)?;
+        let found =
+            in_pool(|| attenuation::smallest(self.scene, backend, self.choices, &mut shown))?;
         drop(step);
         self.progress.finished(Finished::Attenuation(&found));
         Ok(found)

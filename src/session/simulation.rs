@@ -2,6 +2,7 @@
 
 use super::mechanism::lower;
 use super::{Session, SessionError};
+use crate::backend::cpu::in_pool;
 use crate::closed_loop::{Initial, LQR, Law, LawError, Laws, MAP, Weights};
 use crate::expr::{Graph, Id};
 use crate::hamiltonian::clamped;
@@ -218,7 +219,7 @@ impl Session<'_> {
             ..
         } = self.prepare_simulation(options, self.choices)?;
         self.note_contacts(&initial);
-        let flights = simulator.fly(&initial, &options)?;
+        let flights = in_pool(|| simulator.fly(&initial, &options))?;
         if let Some(lost) = flights.lost {
             let event = &self.scene.model.events[lost.event];
             self.progress.note(&format!(

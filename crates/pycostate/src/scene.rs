@@ -114,6 +114,13 @@ impl Scene {
         (model.time_name().to_owned(), model.final_time())
     }
 
+    /// Names of the laws of `[feedback]`.
+    #[getter]
+    fn laws(&self) -> Vec<&str> {
+        let laws = self.model().feedback.iter();
+        laws.map(|law| law.name.as_str()).collect()
+    }
+
     /// A state that is called like something in `/map`, and cannot be an axis there.
     fn no_axis(&self) -> Option<&str> {
         let mut names = self.model().states.iter().map(|s| s.variable.name.as_str());

@@ -22,6 +22,7 @@ class Scene:
     reference: list[float]
     region: list[list[float]]
     time: tuple[str, float | None]
+    laws: list[str]
     @staticmethod
     def load(path: _Path, set: _Set) -> Scene: ...
     @staticmethod

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from . import _engine, _files
 from ._places import states_of
@@ -38,7 +39,7 @@ class Law:
         """What it gives: names of controls (or of commanded states)."""
         return tuple(self._law.outputs)
 
-    def __call__(self, x=None, /, **states) -> np.ndarray:
+    def __call__(self, x: Any = None, /, **states: Any) -> np.ndarray:
         """What it gives at states.
 
         Parameters
@@ -66,16 +67,16 @@ class Law:
         """The weights file's text."""
         return self._law.to_toml()
 
-    def to_c(self, path=None) -> str:
+    def to_c(self, path: str | os.PathLike[str] | None = None) -> str:
         """A header of C without dependencies, which gives :attr:`outputs` in their order; also written to
         the file ``path``."""
         return _files.write(path, self._law.to_c())
 
-    def to_onnx(self, path=None) -> bytes:
+    def to_onnx(self, path: str | os.PathLike[str] | None = None) -> bytes:
         """An ONNX model, as bytes, which gives :attr:`outputs` in their order; also written to the file ``path``."""
         return _files.write_bytes(path, bytes(self._law.to_onnx()))
 
-    def to_fmu(self, path, *, compiled=False) -> None:
+    def to_fmu(self, path: str | os.PathLike[str], *, compiled: bool = False) -> None:
         """Writes an FMU (FMI 3.0, model exchange and co-simulation): states in, controls out.
 
         Parameters
@@ -106,7 +107,7 @@ class Law:
             compiled,
         )
 
-    def save(self, path) -> None:
+    def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the file ``path`` by its ending: ``.toml`` (weights), ``.h``, ``.onnx`` or ``.fmu``."""
         ending = Path(path).suffix.lower()
         if ending == ".onnx":
@@ -124,18 +125,18 @@ class Law:
         return f"<pycostate.Law {self.name!r} of {self.problem.title!r}: {', '.join(self.outputs)}>"
 
 
-def load_law(path, problem: Problem) -> Law:
+def load_law(path: str | os.PathLike[str], problem: Problem) -> Law:
     """The law of a weights file (``path``, ``.toml``) for a ``problem`` with its states and controls."""
-    path = Path(path)
+    file = Path(path)
     if not hasattr(problem, "_scene"):
         raise InputError(f"problem = {problem!r}: a Problem is needed")
-    if path.suffix.lower() in (".onnx", ".fmu", ".h", ".h5"):
+    if file.suffix.lower() in (".onnx", ".fmu", ".h", ".h5"):
         raise InputError(f"{path}: a law is read from its weights file, .toml")
     try:
-        text = path.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path} is no weights file (.toml)") from None
-    return Law(_engine.Law.parse(path.stem, text, str(path), problem._scene), problem)
+    return Law(_engine.Law.parse(file.stem, text, str(path), problem._scene), problem)
 
 
 def _restored(name, text, problem):

@@ -7,10 +7,25 @@ import math
 import numbers
 import os
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 from .errors import CostateError, InputError, warn
+
+
+class Numerics(TypedDict, total=False):
+    """The options of `Problem.using`."""
+
+    backend: Literal["auto", "cpu", "gpu"]
+    adapter: str | None
+    precision: Literal["f64", "f32"] | None
+    method: Literal["rk4", "tsit5", "dop853", "taylor"] | None
+    rtol: float | None
+    seed: int
+    time_limit: float | None
+    progress: bool | Callable[[str | None], object] | None
+
 
 NUMERICS: dict[str, Any] = {
     "backend": "auto",
@@ -83,7 +98,7 @@ def out(value) -> str | None:
     return os.path.abspath(name)
 
 
-def known(given: dict, states=()) -> dict:
+def known(given: Mapping[str, Any], states: Sequence[str] = ()) -> dict[str, Any]:
     """The options of `Problem.using` among what was given by name."""
     done = {}
     for name, value in given.items():

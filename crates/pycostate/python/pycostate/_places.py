@@ -119,9 +119,9 @@ class Places:
             numbers(b.transpose(*self.dims).values, n).ravel() for n, b in zip(names, broadcast)
         ]
         self.x = np.ascontiguousarray(np.stack(columns, axis=-1))
-        wrong = np.argwhere(~np.isfinite(self.x))
-        if finite and len(wrong):
-            row, column = wrong[0]
+        bad = np.argwhere(~np.isfinite(self.x))
+        if finite and len(bad):
+            row, column = bad[0]
             raise InputError(
                 f"state {row} (from 0): {names[column]} = {self.x[row, column]} is no finite number"
             )

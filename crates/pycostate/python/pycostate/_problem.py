@@ -5,19 +5,27 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 from . import _engine, _files, _options, _toml
 from ._check import Check
 from ._law import Law
-from ._places import Places, identifier, numbers
+from ._places import Places, identifier
 from ._value import Value, counts_of, refuse_axes
 from .errors import InputError, Interrupted, OutOfTime, warn
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     import xarray as xr
+    from typing_extensions import Unpack
+
+    from ._options import Numerics
+
+    Path_ = str | os.PathLike[str]
+    Result = Path_ | xr.Dataset | xr.DataTree | _files.ResultFile
+    Names = str | Iterable[str]
 
 #: Sections that say which problem it is; the others say what is asked of it.
 _ESSENCE = (
@@ -150,24 +158,24 @@ class Problem:
         return made
 
     @classmethod
-    def load(cls, path, /, **set) -> Problem:
+    def load(cls, path: Path_, /, **set: float | str) -> Problem:
         """Reads a scene's file, ``path``; ``set`` are parameters in place of the file's (numbers, or
         expressions of earlier parameters)."""
         return cls._of(_engine.Scene.load(_options.path("path", path), _assignments(set)))
 
     @classmethod
-    def parse(cls, text: str, /, name: str = "scene.toml", **set) -> Problem:
+    def parse(cls, text: str, /, name: str = "scene.toml", **set: float | str) -> Problem:
         """Reads a scene's ``text``, with ``set`` as in :meth:`load`; ``name`` is what errors call it."""
         return cls._of(_engine.Scene.parse(text, name, _assignments(set)))
 
     @classmethod
-    def of(cls, result) -> Problem:
+    def of(cls, result: Result) -> Problem:
         """The problem that a result is of: a file's path, a Dataset or a DataTree."""
         return cls._of(_engine.scene_of_file(_files.file_of(result).path))
 
     # Other problems.
 
-    def set(self, /, **values) -> Problem:
+    def set(self, /, **values: float | str) -> Problem:
         """The same with other values of its parameters; what follows from them follows."""
         given = dict(self._scene.set)
         given.update(_assignments(values))
@@ -176,7 +184,7 @@ class Problem:
         )
         return self._of(scene, self._numerics)
 
-    def having(self, **sections) -> Problem:
+    def having(self, **sections: Any) -> Problem:
         """The same with other sections: a dict is merged into the section, None takes it away.
 
         >>> p.having(map={"error": 1e-3}, homotopy=None)
@@ -188,7 +196,7 @@ class Problem:
         scene = _engine.Scene.parse(text, self._scene.file_name, kept)
         return self._of(scene, self._numerics)
 
-    def using(self, **numerics) -> Problem:
+    def using(self, **numerics: Unpack[Numerics]) -> Problem:
         """The same, computed otherwise.
 
         Parameters
@@ -249,7 +257,7 @@ class Problem:
         """Bounds of each state."""
         return {n: tuple(b) for n, b in zip(self.states, self._scene.region)}
 
-    def save(self, path) -> None:
+    def save(self, path: Path_) -> None:
         """Writes the scene's file, ``path``; parameters are what they were :meth:`set` to."""
         _files.write(path, self._full_text())
 
@@ -332,7 +340,14 @@ class Problem:
 
         return self._do(compute, numerics, out, group)
 
-    def run(self, *, out=None, keep="all", grid_guesses=False, **numerics) -> xr.DataTree:
+    def run(
+        self,
+        *,
+        out: Path_ | None = None,
+        keep: Literal["all", "values", "nothing"] = "all",
+        grid_guesses: bool = False,
+        **numerics: Unpack[Numerics],
+    ) -> xr.DataTree:
         """All that the scene asks for, as ``costate run``: an ``xarray.DataTree`` with the result
         file's groups.
 
@@ -348,7 +363,13 @@ class Problem:
         options = {"kept": keep, "grid_guesses": _options.yes("grid_guesses", grid_guesses)}
         return self._run("run", None, options, numerics, out, None)
 
-    def sweep(self, *, out=None, keep="all", **numerics) -> xr.Dataset:
+    def sweep(
+        self,
+        *,
+        out: Path_ | None = None,
+        keep: Literal["all", "values", "nothing"] = "all",
+        **numerics: Unpack[Numerics],
+    ) -> xr.Dataset:
         """Trajectories outward from the equilibrium (or the terminal cost): the result file's
         ``/trajectories`` as an ``xarray.Dataset`` with t, x, p, u, V, H over (trajectory, sample) and
         their components.
@@ -365,7 +386,9 @@ class Problem:
         options = {"kept": keep}
         return self._run("sweep", None, options, numerics, out, "trajectories")
 
-    def homotopy(self, *, out=None, grid_guesses=False, **numerics) -> xr.DataTree:
+    def homotopy(
+        self, *, out: Path_ | None = None, grid_guesses: bool = False, **numerics: Unpack[Numerics]
+    ) -> xr.DataTree:
         """V, p and u at the states that ``[homotopy]`` and ``[map]`` of the scene ask for: a DataTree
         with ``points``, ``points_sheets`` and ``map``.
 
@@ -386,13 +409,13 @@ class Problem:
         points=None,
         /,
         *,
-        out=None,
-        one_sheet=False,
-        trajectories=False,
-        samples=200,
-        grid_guesses=False,
-        **states_and_numerics,
-    ) -> xr.Dataset:
+        out: Path_ | None = None,
+        one_sheet: bool = False,
+        trajectories: bool = False,
+        samples: int = 200,
+        grid_guesses: bool = False,
+        **states_and_numerics: Any,
+    ) -> Any:
         """V, p and u at chosen states.
 
         >>> p.solve(theta=np.linspace(-5, 3, 171), omega=0.0)
@@ -442,7 +465,15 @@ class Problem:
             raise
         return made if trajectories or made is None else places.shaped(made)
 
-    def map(self, error=None, *, value_max=None, counts=None, out=None, **numerics) -> xr.Dataset:
+    def map(
+        self,
+        error: float | None = None,
+        *,
+        value_max: float | None = None,
+        counts: int | Sequence[int] | Mapping[str, int] | None = None,
+        out: Path_ | None = None,
+        **numerics: Unpack[Numerics],
+    ) -> xr.Dataset:
         """V over the whole region.
 
         Parameters
@@ -499,7 +530,7 @@ class Problem:
             raise OutOfTime("the time limit came before there was a map")
         return made
 
-    def study(self, *, out=None, **numerics) -> xr.Dataset:
+    def study(self, *, out: Path_ | None = None, **numerics: Unpack[Numerics]) -> xr.Dataset:
         """The scene's ``[study]``: ``/study`` as a Dataset, one row a variant. ``out`` is the result file;
         ``numerics`` are the options of :meth:`using`."""
 
@@ -508,7 +539,7 @@ class Problem:
 
         return self._do(compute, numerics, out, "study")
 
-    def attenuation(self, *, out=None, **numerics) -> xr.DataTree:
+    def attenuation(self, *, out: Path_ | None = None, **numerics: Unpack[Numerics]) -> xr.DataTree:
         """The smallest levels of attenuation of the scene's ``[attenuation]``, as a DataTree. ``out`` is the
         result file; ``numerics`` are the options of :meth:`using`."""
 
@@ -519,16 +550,16 @@ class Problem:
 
     def simulate(
         self,
-        law=None,
-        x0=None,
+        law: Law | Value | str | Callable[..., Any] | None = None,
+        x0: Any = None,
         /,
         *,
-        time=None,
-        events=None,
-        samples=None,
-        cycle=None,
-        out=None,
-        **states_and_numerics,
+        time: float | None = None,
+        events: int | None = None,
+        samples: int | None = None,
+        cycle: int | None = None,
+        out: Path_ | None = None,
+        **states_and_numerics: Any,
     ) -> xr.DataTree:
         """Flights forward in time, with the scene's events.
 
@@ -616,7 +647,15 @@ class Problem:
         return _files.tree(file)
 
     def evaluate(
-        self, result=None, *, laws=None, added=(), random=None, solve=False, out=None, **numerics
+        self,
+        result: Result | None = None,
+        *,
+        laws: Names | None = None,
+        added: Law | Iterable[Law] = (),
+        random: int | None = None,
+        solve: bool = False,
+        out: Path_ | None = None,
+        **numerics: Unpack[Numerics],
     ) -> xr.DataTree:
         """Laws side by side from many initial states, as ``[closed_loop]`` and ``[dissipation]`` ask.
 
@@ -655,13 +694,15 @@ class Problem:
 
         return self._do(compute, numerics, out)
 
-    def local_to_c(self, path=None, *, degree=3, name="local") -> str:
+    def local_to_c(self, path: Path_ | None = None, *, degree: int = 3, name: str = "local") -> str:
         """The series of V and u about the equilibrium, u of a ``degree`` from 1 to 6, as a header of C whose
         names begin with ``name``; also written to the file ``path``."""
         text = self._scene.local_to_c(identifier(name), _options.whole("degree", degree, 1, 6))
         return _files.write(path, text)
 
-    def bench(self, *, out=None, trajectories=4096, passes=None, **only) -> xr.DataTree:
+    def bench(
+        self, *, out: Path_ | None = None, trajectories: int = 4096, passes: int | None = None, **only: Any
+    ) -> xr.DataTree:
         """Speed against error of every backend, precision, method and tolerance on the scene's own
         trajectories, as ``costate bench``: a DataTree with ``speed_error`` and ``host_share``.
 
@@ -693,7 +734,7 @@ class Problem:
             file = target.file()
         return _files.tree(file)
 
-    def mechanism(self, points=None, /, **states) -> dict:
+    def mechanism(self, points: Any = None, /, **states: Any) -> dict[str, Any]:
         """The scene's mechanism at states given as for :meth:`solve`: mass matrix, forces, accelerations
         with their derivatives, energies, points, contacts: what ``costate mechanism --json`` prints,
         ``coordinates`` and a dict each of ``states``."""
@@ -713,7 +754,7 @@ class Problem:
             scene, options = _command.scene_file(self, folder)
             return _command.of_json("mechanism", scene, *options, *words)
 
-    def value(self, result) -> Value:
+    def value(self, result: Result) -> Value:
         """V, p and u at any state, interpolated from a result (a file, Dataset or DataTree)."""
         return Value(self._own(result, is_told=True))
 
@@ -736,8 +777,15 @@ class Problem:
         return {**{k: tree.get(k) for k in _ESSENCE}, "parameters": self.parameters}
 
     def fit(
-        self, result, *, names=None, starts=None, seed=None, directory=None, **numerics
-    ) -> Law | dict[str, Law]:
+        self,
+        result: Result,
+        *,
+        names: Names | None = None,
+        starts: int | None = None,
+        seed: int | None = None,
+        directory: Path_ | None = None,
+        **numerics: Any,
+    ) -> Any:
         """Fits the laws of the scene's ``[feedback]`` to what a result holds.
 
         Parameters
@@ -757,14 +805,14 @@ class Problem:
             By name, where there are several.
         """
         file = self._own(result)
-        laws = _toml.loads(self.text).get("feedback", {})
-        if not laws:
+        there = self._scene.laws
+        if not there:
             raise InputError('the problem has no [feedback]: p.having(feedback={"NAME": {"fit": "u", ...}}) gives it one')
         names = None if names is None else _options.words(names)
         for name in names or ():
-            if name not in laws:
-                raise InputError(f"there is no law {name} in [feedback] ({', '.join(laws)})")
-        options = {
+            if name not in there:
+                raise InputError(f"there is no law {name} in [feedback] ({', '.join(there)})")
+        options: dict[str, Any] = {
             "names": names,
             "starts": None if starts is None else _options.whole("starts", starts, 1, 1_000_000),
             "seed": None if seed is None else _options.whole("seed", seed, 0, 2**64 - 1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from . import _engine, _files, _options
 from ._places import Places, identifier, numbers, states_of
@@ -115,15 +115,15 @@ class Value:
             values = self._map.at(rows, times, False)[which]
         return values.reshape(shape if which == "V" else (*shape, width))[()]
 
-    def __call__(self, x=None, /, *more, t=None, **states) -> np.ndarray:
+    def __call__(self, x: Any = None, /, *more: Any, t: Any = None, **states: Any) -> np.ndarray:
         """V at ``x`` (and ``t``): shape (...), in units of the cost."""
         return self._ask("V", more, x, t, states)
 
-    def p(self, x=None, /, *more, t=None, **states) -> np.ndarray:
+    def p(self, x: Any = None, /, *more: Any, t: Any = None, **states: Any) -> np.ndarray:
         """p = dV/dx at ``x`` (and ``t``): shape (..., states), in units of the cost by those of the states."""
         return self._ask("p", more, x, t, states)
 
-    def u(self, x=None, /, *more, t=None, **states) -> np.ndarray:
+    def u(self, x: Any = None, /, *more: Any, t: Any = None, **states: Any) -> np.ndarray:
         """The optimal controls at ``x`` (and ``t``): shape (..., controls), in their units."""
         return self._ask("u", more, x, t, states)
 
@@ -136,12 +136,12 @@ class Value:
             times = np.zeros(len(rows))
         return self._map.at(rows, times, True), shape
 
-    def error(self, x=None, /, *, t=None, **states) -> np.ndarray:
+    def error(self, x: Any = None, /, *, t: Any = None, **states: Any) -> np.ndarray:
         """Estimated error of V at ``x`` (and ``t``): shape (...), in units of the cost."""
         found, shape = self._all(x, t, states)
         return found["V_error"].reshape(shape)[()]
 
-    def status(self, x=None, /, *, t=None, **states) -> np.ndarray:
+    def status(self, x: Any = None, /, *, t: Any = None, **states: Any) -> np.ndarray:
         """What is known at ``x`` (and ``t``), in a word: "interpolated", or why nothing is; shape (...)."""
         import numpy as np
 
@@ -149,7 +149,7 @@ class Value:
         words = dict(self._map.statuses())
         return np.array([words[c] for c in found["status"].tolist()], object).reshape(shape)[()]
 
-    def at(self, points=None, /, *, t=None, **states) -> xr.Dataset:
+    def at(self, points: Any = None, /, *, t: float | None = None, **states: Any) -> xr.Dataset:
         """V, p, u, their errors, the sheet and the status, as a Dataset.
 
         Parameters
@@ -172,7 +172,7 @@ class Value:
             file = target.file()
         return places.shaped(_files.dataset(file, "points"))
 
-    def grid(self, *, counts=None, t=None, out=None, **axes) -> xr.Dataset:
+    def grid(self, *, counts: Any = None, t: Any = None, out: Any = None, **axes: Any) -> xr.Dataset:
         """The same on a grid, as the Dataset ``/map``.
 
         Parameters
@@ -226,7 +226,7 @@ class Value:
         # What was asked knows more than what it has answered.
         return _files._held(made, self._file if out is None else file)
 
-    def to_c(self, path=None, *, name="map") -> str:
+    def to_c(self, path: Any = None, *, name: str = "map") -> str:
         """V and u of a map in pieces as a header of C without dependencies; also written to the file
         ``path``. What it defines begins with ``name``."""
         self._file.same()
