@@ -7,6 +7,7 @@ use crate::hamiltonian::System;
 use crate::model::{Model, SeedValue};
 use crate::program::Program;
 use nalgebra::{DMatrix, DVector};
+use std::cell::RefCell;
 
 /// Highest degree of V that is tried, and the most coefficients it may have.
 const MAX_DEGREE: usize = 6;
@@ -55,6 +56,20 @@ pub struct LocalSolution {
     /// Estimated error of V at the seeds: the first term left out.
     pub error: f64,
     flow: Flow,
+}
+
+/// Memory of [`LocalSolution::expansion`].
+#[derive(Default)]
+struct Expanding {
+    z: Vec<f64>,
+    at: Vec<f64>,
+    sums: Vec<f64>,
+    monomials: Vec<f64>,
+    half: Vec<f64>,
+}
+
+thread_local! {
+    static EXPANDING: RefCell<Expanding> = RefCell::default();
 }
 
 /// Homogeneous parts of V.
@@ -263,31 +278,44 @@ impl LocalSolution {
     fn expansion_of<const N: usize, const M: usize>(&self, s: &[f64]) -> (f64, Vec<f64>, Vec<f64>) {
         let n = if N > 0 { N } else { s.len() };
         let pairs = if N > 0 { M } else { n * (n + 1) / 2 };
-        let z = self.to_adjoint.transpose() * DVector::from_column_slice(s);
-        let (mut at, mut monomials) = (vec![0.0; 2 * n + 1], Vec::new());
-        self.fill_of::<N>(z.as_slice(), &mut monomials, &mut at);
-        let mut sums = vec![0.0; pairs];
-        let to = &mut sums[..pairs];
-        for (m, row) in monomials.iter().zip(self.second.chunks_exact(pairs)) {
-            for k in 0..pairs {
-                to[k] += row[k] * m;
+        // It is asked for at every period of a flight: memory is taken for what is returned alone.
+        EXPANDING.with_borrow_mut(|scratch| {
+            let Expanding {
+                z,
+                at,
+                sums,
+                monomials,
+                half,
+            } = scratch;
+            for (all, count) in [(&mut *z, n), (at, 2 * n + 1), (sums, pairs), (half, n * n)] {
+                all.clear();
+                all.resize(count, 0.0);
             }
-        }
-        let mut second = DMatrix::zeros(n, n);
-        let mut entries = sums.into_iter();
-        for i in 0..n {
-            for j in 0..=i {
-                let value = entries.next().unwrap_or(0.0);
-                second[(i, j)] = value;
-                second[(j, i)] = value;
+            let l = self.to_adjoint.as_slice();
+            // z = L's, L by columns.
+            for (z, column) in z.iter_mut().zip(l.chunks_exact(n)) {
+                *z = column.iter().zip(s).map(|(l, s)| l * s).sum();
             }
-        }
-        let hessian = &self.to_adjoint * second * self.to_adjoint.transpose();
-        (
-            at[2 * n],
-            at[n..2 * n].to_vec(),
-            hessian.transpose().iter().copied().collect(),
-        )
+            self.fill_of::<N>(z, monomials, at);
+            for (m, row) in monomials.iter().zip(self.second.chunks_exact(pairs)) {
+                for k in 0..pairs {
+                    sums[k] += row[k] * m;
+                }
+            }
+            let second = |i: usize, j: usize| sums[i.max(j) * (i.max(j) + 1) / 2 + i.min(j)];
+            for i in 0..n {
+                for j in 0..n {
+                    half[i * n + j] = (0..n).map(|k| l[k * n + i] * second(k, j)).sum();
+                }
+            }
+            let mut hessian = vec![0.0; n * n];
+            for i in 0..n {
+                for j in 0..n {
+                    hessian[i * n + j] = (0..n).map(|k| half[i * n + k] * l[k * n + j]).sum();
+                }
+            }
+            (at[2 * n], at[n..2 * n].to_vec(), hessian)
+        })
     }
 
     /// Degrees and largest sizes, on the unit sphere of z, of the parts of V not kept.

@@ -174,7 +174,8 @@ impl Course {
             air.period = (flown * factor).clamp(shortest, longest);
             // Only a period that was much longer than the next one is worth doing again.
             if difference > share * TOO_DIFFERENT && flown > 1.5 * air.period {
-                (air.t, air.s, air.cost) = air.before.clone();
+                (air.t, air.cost) = (air.before.0, air.before.2);
+                air.s.clone_from(&air.before.1);
                 return None;
             }
         }
@@ -188,8 +189,17 @@ impl Course {
             air.record(&p);
         }
         air.settled = self.is_settled(&air.s);
-        air.before = (air.t, air.s.clone(), air.cost);
-        air.law = Some((q, h));
+        (air.before.0, air.before.2) = (air.t, air.cost);
+        air.before.1.clone_from(&air.s);
+        // What is kept stays where it is: freed by another thread than that which has allocated it, it
+        // would make both wait.
+        match &mut air.law {
+            Some((old_q, old_h)) => {
+                old_q.clone_from(&q);
+                old_h.clone_from(&h);
+            }
+            none => *none = Some((q, h)),
+        }
         None
     }
 

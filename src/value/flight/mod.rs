@@ -87,10 +87,9 @@ pub(crate) fn homeward(s: &[f64], periods: &[Option<f64>]) -> Vec<f64> {
 }
 
 /// `m s` of a row-major square matrix.
-fn times(m: &[f64], s: &[f64]) -> Vec<f64> {
+fn times<'m>(m: &'m [f64], s: &'m [f64]) -> impl Iterator<Item = f64> + 'm {
     m.chunks(s.len())
-        .map(|row| row.iter().zip(s).map(|(a, b)| a * b).sum())
-        .collect()
+        .map(move |row| row.iter().zip(s).map(|(a, b)| a * b).sum())
 }
 
 /// The costate `p + H (s - at)` as `(q, H)`.

@@ -134,20 +134,28 @@ impl Crew<'_> {
     fn advance(&self, air: &mut [Air], seeds: &mut Vec<f64>, batch: &mut Trajectories) {
         seeds.clear();
         // Whole periods are left out of the state.
-        let turns: Vec<Vec<f64>> = air.iter().map(|air| self.course.turns(&air.s)).collect();
-        for (air, turns) in air.iter().zip(&turns) {
+        let n = air[0].s.len();
+        let turns: Vec<f64> = air
+            .iter()
+            .flat_map(|air| self.course.turns(&air.s))
+            .collect();
+        let mut s = Vec::new();
+        for (air, turns) in air.iter().zip(turns.chunks_exact(n)) {
             let (q, h) = air.law.as_ref().expect("its law was asked");
-            let s: Vec<f64> = air.s.iter().zip(turns).map(|(s, turn)| s - turn).collect();
+            s.clear();
+            s.extend(air.s.iter().zip(turns).map(|(s, turn)| s - turn));
             let q = costate(q, h, turns);
             let (duration, _) = self.course.next(air);
             (self.equations).seed(&s, (&q, h), (duration, self.course.unit(air)), seeds);
         }
         self.legs.integrate(seeds, batch);
         let ends = batch.end.chunks_exact(batch.dim);
-        for ((air, turns), end) in air.iter_mut().zip(turns).zip(ends) {
+        for ((air, turns), end) in air.iter_mut().zip(turns.chunks_exact(n)).zip(ends) {
             air.t = self.course.next(air).1;
             let (s, cost) = self.equations.read(end);
-            air.s = s.iter().zip(&turns).map(|(s, turn)| s + turn).collect();
+            for ((to, s), turn) in air.s.iter_mut().zip(s).zip(turns) {
+                *to = s + turn;
+            }
             air.cost += cost;
             air.periods += 1;
         }

@@ -90,7 +90,7 @@ impl<'a> At<'a> {
         let turned = site
             .slope
             .as_ref()
-            .map_or(vec![0.0; s.len()], |x| times(x, &way));
+            .map_or(vec![0.0; s.len()], |x| times(x, &way).collect());
         let second = way.iter().zip(&site.p).zip(&turned);
         site.value + second.map(|((d, p), x)| d * (p + 0.5 * x)).sum::<f64>()
     }
