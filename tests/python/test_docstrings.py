@@ -44,5 +44,5 @@ def test_they_render(tmp_path):
     # Sections are lists, not text.
     assert "<h6 id=\"parameters\">Parameters</h6>" in page
     assert "<strong>points</strong> (array_like, Dataset or DataFrame)" in page
-    rest = re.sub(r"<pre.*?</pre>", "", page, flags=re.S)
+    rest = re.sub(r"<pre.*?</pre>", "", page, flags=re.DOTALL)
     assert "----------" not in rest and ":meth:" not in rest

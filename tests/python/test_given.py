@@ -335,3 +335,46 @@ def test_the_environment_is_left_alone():
     bare = {k: v for k, v in os.environ.items() if k != "XDG_RUNTIME_DIR"}
     subprocess.run([sys.executable, "-c", code], check=True, env=bare)
     assert Path(pycostate.__file__).exists()
+
+
+def test_tables_and_their_rows(double_integrator, value):
+    table = pd.DataFrame({"v": [0.2, 0.3], "x": [0.1, 0.4], "note": ["a", "b"]})
+    right = double_integrator.solve([[0.1, 0.2], [0.4, 0.3]]).V.values
+    assert double_integrator.solve(table).V.values.tolist() == right.tolist()
+    assert double_integrator.solve(table.set_index("x")).V.values.tolist() == right.tolist()
+    assert value(table.iloc[0]) == pytest.approx(right[0], rel=1e-3)
+    grid = double_integrator.solve(x=[0.1, 0.4], v=[0.2, 0.3])
+    again = double_integrator.solve(grid.to_dataframe().reset_index().drop_duplicates(["x", "v"]))
+    assert set(again.V.values) == set(grid.V.values.ravel())
+    with pytest.raises(pycostate.InputError, match="v has no column"):
+        double_integrator.solve(pd.DataFrame({"x": [0.1], "V": [0.2]}))
+
+
+def test_a_result_with_laws_is_the_same(double_integrator, tmp_path):
+    p = double_integrator.having(feedback={"fit": "u", "hidden": [3], "iterations": 5, "starts": 1})
+    path = tmp_path / "fit.h5"
+    ds = p.solve(x=np.linspace(-0.5, 0.5, 9), v=np.linspace(-0.5, 0.5, 9), out=path)
+    tree = pycostate.open(path)
+    p.fit(str(path), names="network")
+    p.fit(ds)
+    assert p.value(ds)([0.1, 0.3]) == p.value(tree)([0.1, 0.3])
+    sent = pickle.dumps(p.value(ds))
+    p.solve(x=0.3, out=path)
+    with pytest.raises(pycostate.InputError, match="another file"):
+        pickle.loads(sent)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="fork")
+def test_forked_ones_remove_nothing(double_integrator):
+    code = f"""
+import os, sys, pycostate
+p = pycostate.Problem.parse({double_integrator.text!r})
+ds = p.solve(x=0.1)
+if os.fork() == 0:
+    del ds
+    sys.exit(0)
+os.wait()
+print(len(ds.costate.file.children))
+"""
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "2", done.stderr

@@ -28,12 +28,22 @@ pub fn raised(py: Python<'_>, error: impl Into<CliError>) -> PyErr {
 }
 
 /// A message without the command line's words: `--time-limit` is `time_limit`.
+#[pyfunction]
 pub fn in_python(text: &str) -> String {
-    let text = text
-        .replace("`costate solve --points FILE.csv`", "p.solve(...)")
-        .replace("`costate solve --points`", "p.solve(...)")
-        .replace("`costate solve`", "p.solve(...)")
-        .replace("`costate homotopy`", "p.homotopy()");
+    // `costate check-least FILE` is p.check_least(...).
+    let mut calls = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find("`costate ") {
+        let command = &rest[at + "`costate ".len()..];
+        let Some(end) = command.find('`') else {
+            break;
+        };
+        let name = command[..end].split(' ').next().unwrap_or_default();
+        calls.push_str(&rest[..at]);
+        calls.push_str(&format!("p.{}(...)", name.replace('-', "_")));
+        rest = &command[end + 1..];
+    }
+    let text = calls + rest;
     let mut made = String::with_capacity(text.len());
     let mut rest = text.as_str();
     while let Some(at) = rest.find("--") {
@@ -41,7 +51,7 @@ pub fn in_python(text: &str) -> String {
         let end = option
             .find(|c: char| !(c.is_ascii_lowercase() || c == '-'))
             .unwrap_or(option.len());
-        let begins = before.is_empty() || before.ends_with([' ', '(', '`']);
+        let begins = before.is_empty() || before.ends_with([' ', '(', '`', '\'']);
         let name = &option[..end];
         made.push_str(before);
         match begins && name.starts_with(|c: char| c.is_ascii_lowercase()) {

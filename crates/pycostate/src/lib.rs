@@ -16,6 +16,8 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _engine {
     #[pymodule_export]
+    use super::error::in_python;
+    #[pymodule_export]
     use super::law::Law;
     #[pymodule_export]
     use super::run_command;

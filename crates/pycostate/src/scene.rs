@@ -127,6 +127,11 @@ impl Scene {
         names.find(|name| schema::MAP.reserves(name))
     }
 
+    /// Whether something in `/points` is called so.
+    fn is_taken(&self, name: &str) -> bool {
+        schema::POINTS.reserves(name)
+    }
+
     /// What a simulation does unless it is told otherwise: states that it begins with, row by row,
     /// how long it lasts, events after which a flight ends, stored points of a phase, whether it looks
     /// for an orbit.

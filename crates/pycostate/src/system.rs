@@ -241,8 +241,9 @@ impl System {
 
         let model = &self.scene.model;
         let is_whole = |flight: usize| {
-            let whole = model.final_time();
-            flights.end[flight] == End::Time && whole.is_some_and(|whole| flown.time >= whole)
+            // To rounding: it may be an expression.
+            let near = |whole: f64| (flown.time - whole).abs() <= 1e-9 * whole;
+            flights.end[flight] == End::Time && model.final_time().is_some_and(near)
         };
         let costs = flown.cost.into_iter().enumerate();
         let cost = costs

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from . import _engine
 from .errors import CostateError, InputError, OutOfTime, warn
 
 _ERRORS = {2: InputError, 75: OutOfTime}
@@ -38,16 +39,22 @@ def _run(arguments) -> subprocess.CompletedProcess:
     )
 
 
-def _ended(done: subprocess.CompletedProcess) -> str:
+def _ended(done: subprocess.CompletedProcess, *, of_python: bool = False) -> str:
     if done.returncode:
         said = done.stderr.strip().removeprefix("error: ")
+        said = _engine.in_python(said) if of_python else said
         raise _ERRORS.get(done.returncode, CostateError)(said or f"exit status {done.returncode}")
     return done.stdout
 
 
+def spoken(*arguments) -> str:
+    """The same with messages in Python's words."""
+    return _ended(_run(arguments), of_python=True)
+
+
 def of_json(*arguments) -> Any:
     """The same with ``--json``, as dicts and lists."""
-    return json.loads(command(*arguments, "--json"))
+    return json.loads(spoken(*arguments, "--json"))
 
 
 def adapters() -> list[dict]:
@@ -97,7 +104,7 @@ def check_least(result, *, nodes=(), margin=None, seconds=None, apart=None, back
     done = _run(["check-least", file.path, *options, "--json"])
     # 1 with an answer: V is not the least somewhere.
     found = done.returncode == 1 and done.stdout.lstrip().startswith(("{", "["))
-    answer = json.loads(done.stdout if found else _ended(done))
+    answer = json.loads(done.stdout if found else _ended(done, of_python=True))
     answer["not_least"] = found
     return answer
 

@@ -78,8 +78,10 @@ def folder() -> str:
     return tempfile.mkdtemp(dir=_folder.path)
 
 
-def remove(path: str) -> None:
-    """Removes a folder, also where Ctrl-C comes meanwhile."""
+def remove(path: str, process: int | None = None) -> None:
+    """Removes a folder, also where Ctrl-C comes meanwhile. ``process``: whose it is."""
+    if process not in (None, os.getpid()):
+        return
     try:
         shutil.rmtree(path, ignore_errors=True)
     except KeyboardInterrupt:
@@ -96,29 +98,44 @@ def _stamp(path):
     return found.st_ino, found.st_size, found.st_mtime_ns
 
 
+def _record(path):
+    """What tells the run that has made a file from others, whatever is added to the file later."""
+    import h5py
+
+    try:
+        with h5py.File(path) as stored:
+            names = ("created", "wall_seconds", "scenario", "set", "command")
+            return tuple(str(_attribute(stored.attrs.get(name, ""))) for name in names)
+    except OSError:
+        return None
+
+
 class ResultFile:
     """A result file that lives as long as something made of it; one of ours is then removed."""
 
-    __slots__ = ("__weakref__", "_folder", "_stamp", "path")
+    __slots__ = ("__weakref__", "_folder", "_record", "_stamp", "path")
 
-    def __init__(self, path, folder: str | None = None):
+    def __init__(self, path, folder: str | None = None, record=None):
         self.path = Path(os.path.abspath(path))
         self._folder = folder
-        self._stamp = _stamp(self.path)
+        self._stamp = None if record else _stamp(self.path)
+        self._record = record or _record(self.path)
         if folder is not None:
-            weakref.finalize(self, remove, folder)
+            weakref.finalize(self, remove, folder, os.getpid())
 
     def same(self) -> ResultFile:
-        """This, if it is what it was."""
-        if self._stamp is not None and _stamp(self.path) != self._stamp:
-            raise InputError(
-                f"{self.path} is another file by now than the one that this was made of: pycostate.open reads it again"
-            )
+        """This, if it is what it was, but for laws and evaluations that were added."""
+        stamp = _stamp(self.path)
+        if stamp is None:
+            if self._record is not None:
+                raise InputError(f"{self.path} is no longer there")
+        elif stamp != self._stamp:
+            if self._record is not None and _record(self.path) != self._record:
+                raise InputError(
+                    f"{self.path} is another file by now than the one that this was made of: pycostate.open reads it again"
+                )
+            self._stamp = stamp
         return self
-
-    def changed(self) -> None:
-        """It was written to by us."""
-        self._stamp = _stamp(self.path)
 
     def __repr__(self):
         return f"ResultFile({str(self.path)!r})"
@@ -131,7 +148,7 @@ class ResultFile:
 
     def __reduce__(self):
         # Elsewhere only a file with a name of its own is there.
-        return ResultFile, (self.path,)
+        return ResultFile, (self.path, None, self._record)
 
 
 class Target:

@@ -42,6 +42,8 @@ _TOUCH = 1e-12
 #: So many phases in a row, shorter than this share of the time so far, are too many.
 _MOST_SHORT, _SHORT = 20, 1e-9
 _CORRECTIONS = 100
+#: A cubic through both ends of a step of sin t misses it by (t^2/2)^2 over three times this.
+_QUARTIC = 32
 
 
 def _knows_time(law) -> bool:
@@ -78,24 +80,26 @@ def _checked(law, controls):
 class _Flights:
     """Flights as arrays: each has a time, a step and a phase of its own."""
 
-    def __init__(self, problem, system, law, x0, *, time, events, samples, rtol):
+    def __init__(self, problem, system, law, x0, *, time, events, rtol, stops, begin=None, watches=True):
+        """``stops`` (flights, count): times at which states are kept, of which the last is the end;
+        ``begin``: times at which flights begin. ``watches``: whether events and guards are."""
         import numpy as np
 
+        count = len(x0)
         self.system, self.time, self.rtol, self.most = system, time, rtol, events
         self.n, self.m = len(problem.states), len(problem.controls)
         self.bounds = np.array(system.bounds, dtype=float).reshape(self.m, 2)
         self.widths = np.array([hi - lo for lo, hi in problem.region.values()])
-        self.touch = _TOUCH * np.array(system.sizes, dtype=float)
+        self.sizes = np.array(system.sizes if watches else [], dtype=float)
+        self.touch = _TOUCH * self.sizes
         #: Of conditions: those that follow are guards, which hold on their surface.
-        self.jumps_at = len(system.events)
+        self.jumps_at = len(system.events) if watches else 0
         self.law = _checked(law, self.m)
-        self.stops = np.linspace(0.0, time, samples + 1)[1:] if samples else np.array([time])
-        self.keeps = samples > 0
+        self.stops = stops
 
-        count, conditions = len(x0), len(self.touch)
         self.y = np.hstack([x0, np.zeros((count, 1))])
-        self.t = np.zeros(count)
-        self.step = np.full(count, min(1e-3 * time, self.stops[0]))
+        self.t = np.zeros(count) if begin is None else begin.copy()
+        self.step = np.minimum(1e-3 * time, stops[:, 0] - self.t)
         #: The largest running cost so far.
         self.cost_rate = np.zeros(count)
         self.steps = np.zeros(count, dtype=int)
@@ -103,18 +107,20 @@ class _Flights:
         self.alive = np.ones(count, dtype=bool)
         self.status = np.zeros(count, dtype=np.int32)
         self.phase = np.zeros(count, dtype=np.int32)
-        self.begun = np.zeros(count)
+        #: When phases began, and where.
+        self.begun = self.t.copy()
+        self.begun_at = x0.copy()
         self.short = np.zeros(count, dtype=int)
         #: Conditions at the last step's end, and their rates; which are waited for; which of these have
         #: not left their surface yet.
-        self.ahead = np.zeros((count, conditions))
-        self.slope = np.zeros((count, conditions))
-        self.armed = np.zeros((count, conditions), dtype=bool)
-        self.fresh = np.zeros((count, conditions), dtype=bool)
+        self.ahead = np.zeros((count, len(self.sizes)))
+        self.slope = np.zeros((count, len(self.sizes)))
+        self.armed = np.zeros((count, len(self.sizes)), dtype=bool)
+        self.fresh = np.zeros((count, len(self.sizes)), dtype=bool)
+        #: (flight, stop, state); (flight, phase, begin, state there, end, state there).
         self.samples: list = []
+        self.phases: list = []
         self.jumps: list = []
-        for flight in range(count):
-            self.keep(flight)
         self.begin(np.arange(count))
 
     def controls(self, x, t):
@@ -137,16 +143,29 @@ class _Flights:
         """Conditions, positive until they come true; their rates; where they count."""
         import numpy as np
 
+        if not len(self.sizes):
+            return np.zeros((3, len(x), 0))
         found = self.system.conditions(np.ascontiguousarray(x), u)
         return np.moveaxis(found.reshape(len(x), 3, len(self.touch)), 1, 0)
 
-    def keep(self, flight):
-        if self.keeps:
-            x = self.y[flight, : self.n].copy()
-            self.samples.append((int(flight), int(self.phase[flight]), self.t[flight], x))
-
-    def end(self, flight, code):
+    def end(self, flight, code, *, flown=True):
+        """``flown``: in a phase that has begun."""
+        if flown:
+            self.close(flight)
         self.status[flight], self.alive[flight] = code, False
+
+    def close(self, flight):
+        """The end of a phase."""
+        begin = self.begun[flight], self.begun_at[flight].copy()
+        end = self.t[flight], self.y[flight, : self.n].copy()
+        self.phases.append((int(flight), int(self.phase[flight]), *begin, *end))
+
+    def at_stop(self, flight):
+        self.t[flight] = self.stops[flight, self.stop[flight]]
+        self.samples.append((int(flight), int(self.stop[flight]), self.y[flight, : self.n].copy()))
+        self.stop[flight] += 1
+        if self.stop[flight] == self.stops.shape[1]:
+            self.end(flight, _TIME)
 
     def is_met(self, ahead):
         """Whether conditions are true; guards hold on their surface."""
@@ -181,61 +200,78 @@ class _Flights:
             elif left.size:
                 self.end(flight, _FIRST_EVENT + self.jumps_at + left[0])
 
-    def happen(self, flight, event, ahead, slope):
-        """An event at the end of a phase; ``ahead`` and ``slope`` are those of all conditions there."""
+    def happen(self, flight, event, ahead, slope, counts):
+        """An event at the end of a phase; ``ahead``, ``slope`` and ``counts`` are those of all conditions
+        there."""
         import numpy as np
 
         before = self.y[flight, : self.n].copy()
-        self.keep(flight)
         jump = self.system.jump(event, before.tolist())
         if jump is None:
             self.end(flight, _FIRST_EVENT + event)
             return
+        self.close(flight)
         after, is_lost = np.array(jump[0]), jump[1]
         self.jumps.append((int(flight), event, self.t[flight], before, after))
         self.y[flight, : self.n] = after
         flown = self.t[flight] - self.begun[flight]
         self.short[flight] = self.short[flight] + 1 if flown <= _SHORT * self.t[flight] else 0
         self.phase[flight] += 1
-        self.begun[flight] = self.t[flight]
-        self.keep(flight)
-        # Others on their surface at this moment happen too, if the state still goes into them.
+        self.begun[flight], self.begun_at[flight] = self.t[flight], after
+        # Others that come true at this moment, where they did so before the jump.
         due = self.armed[flight] & (abs(ahead) <= self.touch) & (slope < 0)
         due[event] = False
+        due[self.jumps_at :] = False
+        next_ = None
+        if np.isfinite(after).all():
+            u = self.controls(after[None], self.t[[flight]])
+            there, leaves, counts_there = (c[0] for c in self.conditions(after[None], u))
+            goes_in = (abs(there) <= self.touch) & (leaves < 0)
+            for other in np.flatnonzero(due):
+                if self.system.jump(other, after.tolist()) is None:
+                    # It ends the flight when those before it have happened, unless these led away.
+                    if next_ is None or not goes_in[other]:
+                        counted = counts[other]
+                        if np.isnan(counted) or counted >= 0:
+                            code = _NO_CONDITION if np.isnan(counted) else _FIRST_EVENT + other
+                            return self.end(flight, code, flown=False)
+                elif next_ is None and goes_in[other]:
+                    if np.isnan(counts_there[other]):
+                        return self.end(flight, _NO_CONDITION, flown=False)
+                    if counts_there[other] >= 0:
+                        next_ = other
         if not np.isfinite(after).all():
-            self.end(flight, _NO_STATE)
-        elif self.short[flight] >= _MOST_SHORT:
-            self.end(flight, _ZENO)
-        elif self.phase[flight] >= self.most:
-            self.end(flight, _EVENTS)
-        elif is_lost:
-            self.end(flight, _CONTACT_LOST)
-        if not self.alive[flight]:
-            return
-        x = after[None]
-        u = self.controls(x, self.t[[flight]])
-        there, leaves, counts = (c[0] for c in self.conditions(x, u))
-        next_ = np.flatnonzero(
-            due & (abs(there) <= self.touch) & (leaves < 0) & ~(counts < 0)
-        )
-        self.begin(np.array([flight]))
-        if next_.size and self.alive[flight]:
+            return self.end(flight, _NO_STATE, flown=False)
+        if self.short[flight] >= _MOST_SHORT:
+            return self.end(flight, _ZENO, flown=False)
+        if self.phase[flight] >= self.most:
+            return self.end(flight, _EVENTS, flown=False)
+        if is_lost:
+            return self.end(flight, _CONTACT_LOST, flown=False)
+        if next_ is not None:
             self.armed[flight] = due
-            self.happen(flight, int(next_[0]), there, leaves)
+            return self.happen(flight, int(next_), there, leaves, counts_there)
+        return self.begin(np.array([flight]))
 
     # Steps.
 
     def try_step(self, now, t, h):
-        """A step each: the end, its error, controls there, the largest running cost on the way."""
+        """A step each: the end, errors of the states, the cost and the conditions, conditions at the end,
+        the largest running cost on the way."""
         import numpy as np
 
         slopes: list = []
+        moves: list = []
         for weights in _STAGES:
             at = now + h[:, None] * sum((w * k for w, k in zip(weights, slopes)), 0 * now)
             rates, u = self.rates(at, t + h * sum(weights))
+            conditions = self.conditions(at[:, : self.n], u)
             slopes.append(rates)
+            moves.append(np.nan_to_num(conditions[1], nan=0.0, posinf=0.0, neginf=0.0))
         most = np.max([abs(k[:, self.n]) for k in slopes], axis=0)
-        return at, h[:, None] * sum(w * k for w, k in zip(_ERROR, slopes)), u, most
+        both = [np.hstack(pair) for pair in zip(slopes, moves)]
+        error = h[:, None] * sum(w * k for w, k in zip(_ERROR, both))
+        return at, error, conditions, most
 
     def advance(self):
         """One step of every flight that still flies, or a shorter one to be tried next."""
@@ -251,18 +287,26 @@ class _Flights:
         rows = rows[~(over | low)]
         if not rows.size:
             return
-        to_stop = self.stops[self.stop[rows]] - self.t[rows]
+        # An event may have come at a stop.
+        to_stop = self.stops[rows, self.stop[rows]] - self.t[rows]
+        near = to_stop <= 4 * 2.0**-52 * self.time
+        for flight in rows[near]:
+            self.at_stop(flight)
+        rows, to_stop = rows[~near], to_stop[~near]
+        if not rows.size:
+            return
         stops = self.step[rows] >= to_stop
         h = np.where(stops, to_stop, self.step[rows])
         now = self.y[rows]
         with np.errstate(all="ignore"):
-            after, error, u, cost_rate = self.try_step(now, self.t[rows], h)
+            after, error, conditions, cost_rate = self.try_step(now, self.t[rows], h)
+            ahead, slope, _ = conditions
             cost_rate = np.fmax(cost_rate, self.cost_rate[rows])
             scale = np.maximum(abs(now), abs(after))
             scale[:, : self.n] += self.widths
             scale[:, self.n] += cost_rate * (self.t[rows] + h) + _TINY
+            scale = np.hstack([scale, np.broadcast_to(self.sizes, ahead.shape)])
             off = np.sqrt(np.mean((error / (self.rtol * scale)) ** 2, axis=1))
-        ahead, slope, _ = self.conditions(after[:, : self.n], u)
 
         # What is not finite, or no number, is tried with shorter steps first.
         lost = ~np.isfinite(after).all(axis=1) | ~np.isfinite(off)
@@ -292,13 +336,11 @@ class _Flights:
         self.cost_rate[rows[good]] = cost_rate[good]
         self.move(rows[calm], after[calm], ahead[calm], slope[calm])
         self.t[rows[calm]] += h[calm]
-        self.step[rows[calm]] = (h * factor)[calm]
+        # A step that a stop has cut says little of how long the next one may be.
+        long = np.where(stops, np.maximum(h * factor, self.step[rows]), h * factor)
+        self.step[rows[calm]] = long[calm]
         for flight in rows[calm & stops]:
-            self.t[flight] = self.stops[self.stop[flight]]
-            self.stop[flight] += 1
-            self.keep(flight)
-            if self.stop[flight] == len(self.stops):
-                self.end(flight, _TIME)
+            self.at_stop(flight)
         if crosses.any():
             self.meet(rows[crosses], h[crosses], met[crosses])
 
@@ -321,8 +363,8 @@ class _Flights:
         self.armed[flights] |= ahead > 0
 
     def dips(self, rows, ahead, slope, h):
-        """Whether the cubic through both ends of a step is below 0 in between, for conditions that are
-        waited for and true at neither end."""
+        """Whether the cubic through both ends of a step may be below 0 in between, for conditions that
+        are waited for and true at neither end."""
         import numpy as np
 
         if not len(self.touch):
@@ -333,11 +375,13 @@ class _Flights:
         c, d = 3 * (b - a) - 2 * p - q, p + q - 2 * (b - a)
         waits = self.armed[rows] & (b > 0)
         below = np.zeros_like(waits)
+        # What the cubic leaves out goes with the fourth power of the step, as does this.
+        off = np.maximum(abs(c), abs(c + 3 * d)) ** 2 / (_QUARTIC * self.sizes)
         with np.errstate(all="ignore"):
             root = np.sqrt(c * c - 3 * d * p)
             for s in ((-c + root) / (3 * d), (-c - root) / (3 * d), -p / (2 * c)):
                 inside = (s > 0) & (s < 1)
-                below |= inside & (((d * s + c) * s + p) * s + a < -self.touch)
+                below |= inside & (((d * s + c) * s + p) * s + a < off)
         return (below & waits).any(axis=1)
 
     def meet(self, flights, h, met):
@@ -358,8 +402,8 @@ class _Flights:
         share, found = np.ones(count), None
         for turn in range(_CORRECTIONS):
             with np.errstate(all="ignore"):
-                at, _, u, _ = self.try_step(now, self.t[flights], share * h)
-            ahead, slope, counts = self.conditions(at[:, : self.n], u)
+                at, _, conditions, _ = self.try_step(now, self.t[flights], share * h)
+            ahead, slope, counts = conditions
             g = least(ahead)
             true = (self.is_met(ahead) & met).any(axis=1)
             if found is None:
@@ -383,9 +427,7 @@ class _Flights:
         for row, flight in enumerate(flights):
             first = np.argmin(np.where(met[row], ahead[row] / size[row], np.inf))
             self.move(flight, at[row], ahead[row], slope[row])
-            self.step[flight] = min(self.step[flight], h[row])
             if first >= self.jumps_at:
-                self.keep(flight)
                 self.end(flight, _FIRST_EVENT + first)
             elif np.isnan(counts[row, first]):
                 self.end(flight, _NO_CONDITION)
@@ -393,7 +435,7 @@ class _Flights:
                 # It is passed by.
                 self.armed[flight, first] = False
             else:
-                self.happen(flight, int(first), ahead[row], slope[row])
+                self.happen(flight, int(first), ahead[row], slope[row], counts[row])
 
 
 def fly(problem, system, law, x0, options, how):
@@ -401,21 +443,53 @@ def fly(problem, system, law, x0, options, how):
     import numpy as np
 
     rtol = _RTOL if how["rtol"] is None else how["rtol"]
-    time, tell = options["time"], how["progress"]
+    time, samples = options["time"], options["samples"]
     until = None if how["time_limit"] is None else clock.monotonic() + how["time_limit"]
-    flights = _Flights(problem, system, law, x0, rtol=rtol, **options)
-    while flights.alive.any():
-        if until is not None and clock.monotonic() > until:
-            done = flights.t.min() / time
-            raise OutOfTime(
-                f"the time limit came when {100 * done:.0f} % were flown (a law that chatters takes ever shorter steps)"
-            )
-        flights.advance()
-        if tell is not None:
-            share = flights.t[flights.alive].min(initial=time) / time
-            tell(f"simulated: {100 * share:.0f} %")
 
-    kept = sorted(flights.samples, key=lambda s: s[0])
+    def flown(x0, stops, **more):
+        flights = _Flights(
+            problem, system, law, x0, time=time, events=options["events"], rtol=rtol, stops=stops, **more
+        )
+        while flights.alive.any():
+            share = flights.t[flights.alive].min() / time
+            if until is not None and clock.monotonic() > until:
+                raise OutOfTime(
+                    f"the time limit came when {100 * share:.0f} % were flown (a law that chatters takes ever shorter steps)"
+                )
+            flights.advance()
+            if how["progress"] is not None:
+                how["progress"](f"simulated: {100 * share:.0f} %")
+        return flights
+
+    # Points lie evenly in each phase: how long it is is known when it is over, and it is flown again.
+    shares = np.linspace(0.0, 1.0, samples + 1)[1:] if samples else np.ones(1)
+    watches = bool(system.sizes)
+    first = np.ones(1) if watches else shares
+    flights = flown(x0, np.tile(time * first, (len(x0), 1)))
+    phases = sorted(flights.phases, key=lambda p: p[:2])
+    kept: list = []
+    if samples:
+        lasting = [p for p in phases if p[4] - p[2] > 1e-12 * time]
+        if watches and lasting:
+            begin = np.array([p[2] for p in lasting])
+            stops = begin[:, None] + np.array([p[4] - p[2] for p in lasting])[:, None] * shares
+            stops[:, -1] = [p[4] for p in lasting]
+            again = flown(np.array([p[3] for p in lasting]), stops, begin=begin, watches=False)
+        else:
+            again, stops = flights, flights.stops
+        points: dict = {}
+        for number, stop, x in again.samples:
+            points.setdefault(number, []).append((stops[number, stop], x))
+        number = 0
+        for phase in phases:
+            flight, count, t0, start, t1, last = phase
+            kept.append((flight, count, t0, start))
+            if t1 - t0 > 1e-12 * time:
+                own = points.get(number, [])
+                number += 1
+                kept += [(flight, count, t, last if t == t1 else x) for t, x in own]
+            elif t1 > t0:
+                kept.append((flight, count, t1, last))
     jumps = sorted(flights.jumps, key=lambda j: j[0])
 
     def states(rows, k):

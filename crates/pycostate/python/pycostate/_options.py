@@ -116,6 +116,8 @@ def known(given: Mapping[str, Any], states: Sequence[str] = ()) -> dict[str, Any
             value = number(name, value, low=0.0, high=0.5)
         elif name == "time_limit" and value is not None:
             value = number(name, value, low=0.0)
+        elif name == "progress" and not (value in (None, True, False) or callable(value)):
+            raise InputError(f"progress = {value!r}: True, or a function of a text")
         elif name == "seed":
             value = whole(name, value, 0, 2**64 - 1)
         done[name] = value

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numbers
+
 from . import _options
 from .errors import InputError
 
@@ -68,7 +70,7 @@ def _levels(v, wanted):
     import numpy as np
 
     least, most = np.nanmin(v), np.nanmax(v)
-    if wanted is not None and not isinstance(wanted, int):
+    if wanted is not None and not isinstance(wanted, numbers.Integral):
         levels = np.unique(np.asarray(wanted, dtype=float))
         if levels.size < 2 or not np.isfinite(levels).all():
             raise InputError("levels: two finite numbers at least")
@@ -108,6 +110,7 @@ class Pictures:
             if name not in ds.V.dims:
                 raise InputError(f"{name} is no axis of V ({', '.join(map(str, ds.V.dims))})")
         for name, value in at.items():
+            value = _options.number(name, value)
             ds = ds.sel({name: value}, method="nearest")
         left = list(ds.V.dims)
         if "point" in left or "trajectory" in left:
@@ -121,10 +124,15 @@ class Pictures:
         from . import _files
 
         file = _files.file_of(self._ds)
-        shutil.copyfile(file.path, _files._file(_options.out(path)))
+        try:
+            shutil.copyfile(file.path, _files._file(_options.out(path)))
+        except shutil.SameFileError:
+            raise InputError(f"{path} is the file itself") from None
 
     def _quantity(self, ds, name):
         """A variable, or a component of p or u, and its label."""
+        if not isinstance(name, str):
+            raise InputError(f"{name!r}: the name of what is drawn")
         if name in ("V", "V_error", "p_error", "u_error") and name in ds:
             return ds[name], _label(ds, name)
         if name.startswith("p_") and name[2:] in _states(ds):

@@ -24,6 +24,8 @@ def numbers(values, what):
         array = np.asarray(values)
         if array.dtype == object:
             # Fractions, decimals and the like are numbers, too.
+            if any(value is None for value in array.flat):
+                raise TypeError("None is no number")
             array = array.astype(float)
     except (TypeError, ValueError) as wrong:
         raise InputError(f"{what}: {wrong}") from None
@@ -55,19 +57,32 @@ def by_name(problem, points):
         parts = {n: points.sel(state=n) for n in names}
         return {n: part.drop_vars("state", errors="ignore") for n, part in parts.items()}
     if isinstance(points, xr.Dataset):
+        given = {
+            n: points[n] for n in names if n in points.variables and points[n].dtype.kind not in "OUS"
+        }
         # A result's own states, unless it has them as coordinates.
-        if "x0" in points and "state" in points.x0.dims and not all(n in points.coords for n in names):
+        if "x0" in points and "state" in points.x0.dims and not all(n in points.coords and n in given for n in names):
             return by_name(problem, points.x0)
-        given = {n: points[n] for n in names if n in points.variables}
         if not given:
             there = ", ".join(map(str, points.variables)) or "nothing"
             raise InputError(f"the Dataset names no state ({listed}); it has {there}")
         return given
     if hasattr(points, "columns") and hasattr(points, "to_numpy"):
+        if any(n in names for n in points.index.names):
+            points = points.reset_index()
         columns = list(points.columns)
-        if not any(c in names for c in columns):
+        missing = [n for n in names if n not in columns]
+        others = [c for c in columns if c not in names]
+        if len(missing) == len(names):
             raise InputError(f"the table has no column of a state ({listed})")
-        return {c: ("point", numbers(points[c], str(c))) for c in columns}
+        if missing and others:
+            raise InputError(f"{others[0]} is no state of the scene, and {missing[0]} has no column ({listed})")
+        return {n: ("point", numbers(points[n], n)) for n in names if n in columns}
+    if hasattr(points, "index") and hasattr(points, "to_numpy"):
+        # A row of a table.
+        labels = list(points.index)
+        if any(n in labels for n in names):
+            return {n: points[n] for n in names if n in labels}
     return None
 
 
@@ -91,6 +106,10 @@ class Places:
         if unknown:
             raise InputError(f"{unknown[0]} is no state of the scene ({', '.join(names)})")
 
+        for given in named.values():
+            for dim in given.dims if isinstance(given, xr.DataArray) else ():
+                if dim not in names and dim != "point" and problem._scene.is_taken(str(dim)):
+                    raise InputError(f"a dimension {dim} is the result's own: rename it")
         arrays = {}
         for name in names:
             given = named.get(name, problem.reference[name])
@@ -149,9 +168,6 @@ class Places:
         # What is called like something of the result is told apart.
         taken = set(found.variables) | set(found.dims)
         labels = {n: f"state_{n}" if n in taken else n for n in self.names}
-        for name in self.dims:
-            if name in taken and name not in labels:
-                raise InputError(f"a dimension {name} is the result's own: rename it")
         dims = tuple(labels.get(d, d) for d in self.dims)
         variables, coords = {}, {}
         for name, variable in found.variables.items():

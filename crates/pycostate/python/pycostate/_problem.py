@@ -52,7 +52,7 @@ def _assignments(values: Mapping) -> list[tuple[str, str]]:
             return value
         try:
             return repr(float(value))
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise InputError(
                 f"parameter {name} = {value!r}: a number, or an expression of earlier parameters as a text"
             ) from None
@@ -452,7 +452,7 @@ class Problem:
             and a status that says why.
         """
         taken = (("out", out), ("samples", samples != 200), ("trajectories", trajectories))
-        named, numerics = self._named(states_and_numerics, taken)
+        named, numerics = self._named(states_and_numerics, () if points is not None else taken)
         places = Places(self, points, named)
         if not len(places.x):
             raise InputError("no states are given")
@@ -605,7 +605,7 @@ class Problem:
         }
         cycle = None if cycle is None else _options.whole("cycle", cycle, 0, 1000)
         taken = [("out", out), ("cycle", cycle), *asked.items()]
-        named, numerics = self._named(states_and_numerics, taken)
+        named, numerics = self._named(states_and_numerics, () if x0 is not None else taken)
         x = Places(self, x0, named).x if x0 is not None or named else None
         if x is not None and not len(x):
             raise InputError("no states are given")
@@ -616,6 +616,8 @@ class Problem:
             raise InputError("how long to simulate? time=, or the problem's [simulation] time")
         if isinstance(law, Law):
             options["weights"] = (law.name, law.to_toml())
+        elif law == "map":
+            raise InputError("the law of a map is that of its value: p.simulate(p.value(result), x0)")
         elif isinstance(law, str):
             options["law"] = law
         elif law is not None:
@@ -735,7 +737,7 @@ class Problem:
             tempfile.TemporaryDirectory(dir=_files.folder()) as folder,
         ):
             scene, options = _command.scene_file(self, folder)
-            _command.command("bench", scene, *options, *words, "--out", target.path, "--quiet")
+            _command.spoken("bench", scene, *options, *words, "--out", target.path, "--quiet")
             file = target.file()
         return _files.tree(file)
 
@@ -829,7 +831,6 @@ class Problem:
             laws, left_out, interrupted = _engine.fit(
                 self._scene, file.path, os.path.abspath(directory or folder), how, **options
             )
-            file.changed()
         made = {law.name: Law(law, self) for law in laws}
         if interrupted is not None:
             raise Interrupted("ended before all laws were fitted", made) from interrupted

@@ -64,6 +64,7 @@ def report(result, page=None, *, axes=None, slice=None, levels=(), width=None) -
     width : int
         Of the pictures, in pixels.
     """
+    _options.in_first_process()
     if isinstance(levels, (int, float)):
         levels = [levels]
     axes = None if axes is None else _options.words(axes)

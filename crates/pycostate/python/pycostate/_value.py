@@ -35,7 +35,7 @@ def counts_of(names: Sequence[str], counts) -> list[int]:
         if unknown:
             raise InputError(f"counts: {unknown[0]} is no state of the scene ({', '.join(names)})")
         counts = [counts.get(name, default) for name in names]
-    elif not isinstance(counts, Sequence):
+    elif not hasattr(counts, "__len__"):
         counts = [counts] * len(names)
     if len(counts) != len(names):
         raise InputError(f"counts: {len(counts)} numbers for {len(names)} states: {', '.join(names)}")
@@ -86,7 +86,7 @@ class Value:
 
         if more:
             raise TypeError("states are one array, v([0.5, -0.2]), or by name")
-        if t is not None and "t" in self.problem.states:
+        if t is not None and x is None and "t" in self.problem.states:
             named, t = {**named, "t": t}, None
         rows, shape = states_of(self.problem, x, named)
         if t is None:
@@ -162,7 +162,7 @@ class Value:
         import numpy as np
 
         _options.in_first_process()
-        if t is not None and "t" in self.problem.states:
+        if t is not None and points is None and "t" in self.problem.states:
             states, t = {**states, "t": t}, None
         places = Places(self.problem, points, states)
         time = 0.0 if t is None else _options.number("t", t)
