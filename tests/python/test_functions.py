@@ -176,7 +176,7 @@ def test_events_of_an_oscillator(events, status, count):
         {events}
     """
     p = pycostate.Problem.parse(scene)
-    for rtol in (1e-5, 1e-9):
+    for rtol in (1e-6, 1e-9):
         tree = p.simulate(held, [[0.0, 1.0, 0.0]], time=11.0, rtol=rtol)
         engine = p.simulate(None, [[0.0, 1.0, 0.0]], time=11.0, rtol=1e-9)
         mine, its = (t["simulation_events"].to_dataset() for t in (tree, engine))
@@ -234,3 +234,56 @@ def test_an_end_on_the_surface_of_a_bounce():
         events={"stop": {"when": "h <= 0", "where": "n >= 2", "ends": True}}
     )
     assert words(ball.simulate(held)["simulation"]) == ["event_stop"] == words(ball.simulate()["simulation"])
+
+
+def clock(**events):
+    return pycostate.Problem(
+        states=["c", "n"],
+        controls=["u"],
+        dynamics={"c": "1", "n": "0"},
+        running="u^2",
+        terminal="0",
+        final_time=10,
+        region={"c": [0, 10], "n": [0, 50]},
+        events=events,
+    )
+
+
+@pytest.mark.parametrize("when", ["(c-5)^2 >= 0.01", "cos(5*c) <= 0.95", "cos(10*c) >= 0"])
+@pytest.mark.parametrize("rtol", [1e-5, 1e-9])
+def test_what_is_short_is_met(when, rtol):
+    p = clock(a={"when": when, "set": {"n": "n + 1"}})
+    mine, its = (p.simulate(law, [[0.0, 0.0]], rtol=rtol) for law in (held, None))
+    assert mine["simulation"].events.values.tolist() == its["simulation"].events.values.tolist()
+    np.testing.assert_allclose(mine["simulation_events"].t, its["simulation_events"].t, atol=rtol)
+
+
+@pytest.mark.parametrize("order", [("stop", "add"), ("add", "stop", "reset"), ("stop", "add", "reset")])
+@pytest.mark.parametrize("where", ["n >= 1", "sqrt(n - 0.5) >= 0", "n >= 7"])
+def test_ends_at_the_moment_of_jumps(order, where):
+    there = {
+        "stop": {"when": "c >= 0.7", "where": where, "ends": True},
+        "add": {"when": "c >= 0.7", "set": {"n": "n + 1"}},
+        "reset": {"when": "c >= 0.7", "set": {"c": "0"}},
+    }
+    p = clock(**{name: there[name] for name in order})
+    mine, its = (p.simulate(law, [[0.0, 0.0]], time=3.0)["simulation"] for law in (held, None))
+    assert words(mine) == words(its)
+    assert mine.events.values.tolist() == its.events.values.tolist()
+    np.testing.assert_allclose(mine.x_end, its.x_end, atol=1e-9)
+
+
+def test_points_of_flights_that_end_early():
+    p = pycostate.Problem(
+        states=["x"],
+        controls=["u"],
+        dynamics={"x": "x^2 + u"},
+        running="u^2",
+        terminal="0",
+        final_time=5,
+        region={"x": [0, 1]},
+    )
+    tree = p.simulate(held, [[0.5]], samples=10)
+    flown, t = tree["simulation"], tree["simulation_samples"].t.values
+    assert flown.t_end.item() == pytest.approx(2.0, abs=1e-5)
+    np.testing.assert_allclose(t, np.linspace(0.0, flown.t_end.item(), 11), atol=1e-9)

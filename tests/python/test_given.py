@@ -342,6 +342,7 @@ def test_tables_and_their_rows(double_integrator, value):
     right = double_integrator.solve([[0.1, 0.2], [0.4, 0.3]]).V.values
     assert double_integrator.solve(table).V.values.tolist() == right.tolist()
     assert double_integrator.solve(table.set_index("x")).V.values.tolist() == right.tolist()
+    assert double_integrator.solve(table.set_index("x", drop=False)).V.values.tolist() == right.tolist()
     assert value(table.iloc[0]) == pytest.approx(right[0], rel=1e-3)
     grid = double_integrator.solve(x=[0.1, 0.4], v=[0.2, 0.3])
     again = double_integrator.solve(grid.to_dataframe().reset_index().drop_duplicates(["x", "v"]))

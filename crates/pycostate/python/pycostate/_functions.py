@@ -44,6 +44,8 @@ _MOST_SHORT, _SHORT = 20, 1e-9
 _CORRECTIONS = 100
 #: A cubic through both ends of a step of sin t misses it by (t^2/2)^2 over three times this.
 _QUARTIC = 32
+#: Times of stages, in their order, as shares of a step.
+_LOOKED_AT = ((0.0, 0), (1 / 5, 1), (3 / 10, 2), (4 / 5, 3), (8 / 9, 4), (1.0, 6))
 
 
 def _knows_time(law) -> bool:
@@ -228,14 +230,12 @@ class _Flights:
             there, leaves, counts_there = (c[0] for c in self.conditions(after[None], u))
             goes_in = (abs(there) <= self.touch) & (leaves < 0)
             for other in np.flatnonzero(due):
-                if self.system.jump(other, after.tolist()) is None:
-                    # It ends the flight when those before it have happened, unless these led away.
-                    if next_ is None or not goes_in[other]:
-                        counted = counts[other]
-                        if np.isnan(counted) or counted >= 0:
-                            code = _NO_CONDITION if np.isnan(counted) else _FIRST_EVENT + other
-                            return self.end(flight, code, flown=False)
-                elif next_ is None and goes_in[other]:
+                ends = self.system.jump(other, after.tolist()) is None
+                # It ends the flight when those before it have happened, unless these led away.
+                if ends and counts[other] >= 0 and (next_ is None or not goes_in[other]):
+                    return self.end(flight, _FIRST_EVENT + other, flown=False)
+                # What has happened by then decides.
+                if next_ is None and goes_in[other]:
                     if np.isnan(counts_there[other]):
                         return self.end(flight, _NO_CONDITION, flown=False)
                     if counts_there[other] >= 0:
@@ -257,21 +257,21 @@ class _Flights:
 
     def try_step(self, now, t, h):
         """A step each: the end, errors of the states, the cost and the conditions, conditions at the end,
-        the largest running cost on the way."""
+        the largest running cost on the way, conditions at the stages."""
         import numpy as np
 
         slopes: list = []
-        moves: list = []
+        along: list = []
         for weights in _STAGES:
             at = now + h[:, None] * sum((w * k for w, k in zip(weights, slopes)), 0 * now)
             rates, u = self.rates(at, t + h * sum(weights))
-            conditions = self.conditions(at[:, : self.n], u)
             slopes.append(rates)
-            moves.append(np.nan_to_num(conditions[1], nan=0.0, posinf=0.0, neginf=0.0))
+            along.append(self.conditions(at[:, : self.n], u))
         most = np.max([abs(k[:, self.n]) for k in slopes], axis=0)
+        moves = [np.nan_to_num(c[1], nan=0.0, posinf=0.0, neginf=0.0) for c in along]
         both = [np.hstack(pair) for pair in zip(slopes, moves)]
         error = h[:, None] * sum(w * k for w, k in zip(_ERROR, both))
-        return at, error, conditions, most
+        return at, error, along[-1], most, along
 
     def advance(self):
         """One step of every flight that still flies, or a shorter one to be tried next."""
@@ -299,7 +299,7 @@ class _Flights:
         h = np.where(stops, to_stop, self.step[rows])
         now = self.y[rows]
         with np.errstate(all="ignore"):
-            after, error, conditions, cost_rate = self.try_step(now, self.t[rows], h)
+            after, error, conditions, cost_rate, along = self.try_step(now, self.t[rows], h)
             ahead, slope, _ = conditions
             cost_rate = np.fmax(cost_rate, self.cost_rate[rows])
             scale = np.maximum(abs(now), abs(after))
@@ -326,7 +326,7 @@ class _Flights:
         met = self.is_met(ahead) & self.armed[rows]
         fresh = self.fresh[rows]
         returns = (met & fresh).any(axis=1)
-        dips = self.dips(rows, ahead, slope, h) & (h > _LEAST_LOOK * self.time)
+        dips = self.dips(rows, along, h) & (h > _LEAST_LOOK * self.time)
         closer = (returns | dips) & ~again & ~ends
         self.step[rows[closer]] = 0.5 * h[closer]
 
@@ -362,27 +362,40 @@ class _Flights:
         self.fresh[flights] &= ahead <= 0
         self.armed[flights] |= ahead > 0
 
-    def dips(self, rows, ahead, slope, h):
-        """Whether the cubic through both ends of a step may be below 0 in between, for conditions that
-        are waited for and true at neither end."""
+    def dips(self, rows, along, h):
+        """Whether a condition may come true and false again in a step, or false and true: at a stage, or
+        on the cubics between stages. Those that are true at the end of a step are met anyway."""
         import numpy as np
 
         if not len(self.touch):
             return np.zeros(len(rows), dtype=bool)
-        a, b = self.ahead[rows], ahead
-        p, q = h[:, None] * self.slope[rows], h[:, None] * slope
-        # a + p s + c s^2 + d s^3
-        c, d = 3 * (b - a) - 2 * p - q, p + q - 2 * (b - a)
-        waits = self.armed[rows] & (b > 0)
-        below = np.zeros_like(waits)
-        # What the cubic leaves out goes with the fourth power of the step, as does this.
-        off = np.maximum(abs(c), abs(c + 3 * d)) ** 2 / (_QUARTIC * self.sizes)
+        armed = self.armed[rows]
+        sign = np.where(armed, 1.0, -1.0)
+        first, last = self.ahead[rows], along[-1][0]
+        # Of what is waited for, and has not come by the end; of what is true, and is so again.
+        looks = np.where(armed, last > 0, (first < -self.touch) & (last < -self.touch))
+        found = np.zeros_like(looks)
         with np.errstate(all="ignore"):
-            root = np.sqrt(c * c - 3 * d * p)
-            for s in ((-c + root) / (3 * d), (-c - root) / (3 * d), -p / (2 * c)):
-                inside = (s > 0) & (s < 1)
-                below |= inside & (((d * s + c) * s + p) * s + a < off)
-        return (below & waits).any(axis=1)
+            # States at stages are known roughly: between the ends the cubic is better, if it has to bend
+            # once.
+            for (s0, k0), (s1, k1) in [*zip(_LOOKED_AT, _LOOKED_AT[1:]), (_LOOKED_AT[0], _LOOKED_AT[-1])]:
+                width = (s1 - s0) * h[:, None]
+                a, b = sign * along[k0][0], sign * along[k1][0]
+                if k0 == 0:
+                    # What is on its surface has just left it.
+                    a = np.maximum(a, 0.0)
+                p, q = width * sign * along[k0][1], width * sign * along[k1][1]
+                # a + p s + c s^2 + d s^3
+                c, d = 3 * (b - a) - 2 * p - q, p + q - 2 * (b - a)
+                # What the cubic leaves out goes with the fourth power of the step, as does this.
+                off = np.maximum(abs(c), abs(c + 3 * d)) ** 2 / (_QUARTIC * self.sizes)
+                if k0:
+                    found |= a < 0
+                root = np.sqrt(c * c - 3 * d * p)
+                for s in ((-c + root) / (3 * d), (-c - root) / (3 * d), -p / (2 * c)):
+                    inside = (s > 0) & (s < 1)
+                    found |= inside & (((d * s + c) * s + p) * s + a < off)
+        return (found & looks).any(axis=1)
 
     def meet(self, flights, h, met):
         """Steps in which conditions come true: to where the first does so."""
@@ -402,7 +415,7 @@ class _Flights:
         share, found = np.ones(count), None
         for turn in range(_CORRECTIONS):
             with np.errstate(all="ignore"):
-                at, _, conditions, _ = self.try_step(now, self.t[flights], share * h)
+                at, _, conditions, *_ = self.try_step(now, self.t[flights], share * h)
             ahead, slope, counts = conditions
             g = least(ahead)
             true = (self.is_met(ahead) & met).any(axis=1)
@@ -425,15 +438,18 @@ class _Flights:
         at, ahead, slope, counts = found
         self.t[flights] += high * h
         for row, flight in enumerate(flights):
-            first = np.argmin(np.where(met[row], ahead[row] / size[row], np.inf))
             self.move(flight, at[row], ahead[row], slope[row])
-            if first >= self.jumps_at:
+            # Of those at this moment the first in the scene that counts.
+            here = np.flatnonzero(met[row] & (ahead[row] <= self.touch))
+            counting = [k for k in here if k >= self.jumps_at or not counts[row, k] < 0]
+            first = counting[0] if counting else None
+            if first is None:
+                # They are passed by.
+                self.armed[flight, here] = False
+            elif first >= self.jumps_at:
                 self.end(flight, _FIRST_EVENT + first)
             elif np.isnan(counts[row, first]):
                 self.end(flight, _NO_CONDITION)
-            elif counts[row, first] < 0:
-                # It is passed by.
-                self.armed[flight, first] = False
             else:
                 self.happen(flight, int(first), ahead[row], slope[row], counts[row])
 
@@ -470,7 +486,8 @@ def fly(problem, system, law, x0, options, how):
     kept: list = []
     if samples:
         lasting = [p for p in phases if p[4] - p[2] > 1e-12 * time]
-        if watches and lasting:
+        # Without any a flight may still end early.
+        if lasting and (watches or (flights.status != _TIME).any()):
             begin = np.array([p[2] for p in lasting])
             stops = begin[:, None] + np.array([p[4] - p[2] for p in lasting])[:, None] * shares
             stops[:, -1] = [p[4] for p in lasting]
@@ -487,7 +504,8 @@ def fly(problem, system, law, x0, options, how):
             if t1 - t0 > 1e-12 * time:
                 own = points.get(number, [])
                 number += 1
-                kept += [(flight, count, t, last if t == t1 else x) for t, x in own]
+                kept += [(flight, count, t, x) for t, x in own if t < t1]
+                kept.append((flight, count, t1, last))
             elif t1 > t0:
                 kept.append((flight, count, t1, last))
     jumps = sorted(flights.jumps, key=lambda j: j[0])

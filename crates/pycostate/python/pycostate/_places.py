@@ -40,10 +40,10 @@ def by_name(problem, points):
 
     names = problem.states
     listed = ", ".join(names)
-    if isinstance(points, Mapping) and not isinstance(points, xr.Dataset):
-        return dict(points)
     if isinstance(points, xr.DataTree):
         points = points.to_dataset()
+    if isinstance(points, Mapping) and not isinstance(points, xr.Dataset):
+        return dict(points)
     if isinstance(points, xr.DataArray):
         if "state" not in points.dims:
             return None
@@ -58,19 +58,26 @@ def by_name(problem, points):
         return {n: part.drop_vars("state", errors="ignore") for n, part in parts.items()}
     if isinstance(points, xr.Dataset):
         given = {
-            n: points[n] for n in names if n in points.variables and points[n].dtype.kind not in "OUS"
+            n: points[n]
+            for n in names
+            if n in points.variables and points[n].dtype.kind not in "OUS" and "state" not in points[n].dims
         }
         # A result's own states, unless it has them as coordinates.
         if "x0" in points and "state" in points.x0.dims and not all(n in points.coords and n in given for n in names):
             return by_name(problem, points.x0)
+        if not given and "x" in points and "state" in points.x.dims:
+            return by_name(problem, points.x)
         if not given:
             there = ", ".join(map(str, points.variables)) or "nothing"
             raise InputError(f"the Dataset names no state ({listed}); it has {there}")
         return given
     if hasattr(points, "columns") and hasattr(points, "to_numpy"):
-        if any(n in names for n in points.index.names):
-            points = points.reset_index()
+        inner = [n for n in points.index.names if n in names and n not in points.columns]
+        points = points.reset_index(inner) if inner else points
         columns = list(points.columns)
+        twice = [n for n in names if columns.count(n) > 1]
+        if twice:
+            raise InputError(f"the table has {twice[0]} twice")
         missing = [n for n in names if n not in columns]
         others = [c for c in columns if c not in names]
         if len(missing) == len(names):

@@ -594,7 +594,8 @@ class Problem:
         -------
         xarray.DataTree
             ``simulation``, ``simulation_events``, ``simulation_samples``, and ``cycles`` where orbits
-            were looked for. Under a function ``simulation`` has J, too, the cost until the end.
+            were looked for. Under a function ``simulation`` has J, too: the running cost until the end, and
+            that at the final time where ``time`` is the final time.
         """
         if isinstance(law, Value):
             law = law.u
