@@ -196,46 +196,6 @@ def test_a_gait_under_a_function(scenarios):
     np.testing.assert_allclose(tree["simulation"].x_end, engine["simulation"].x_end, atol=1e-7)
 
 
-def test_a_clock_ticks_at_stored_times():
-    p = pycostate.Problem(
-        states=["c", "n"],
-        controls=["u"],
-        dynamics={"c": "1", "n": "0"},
-        running="u^2",
-        terminal="0",
-        final_time=5,
-        region={"c": [0, 1], "n": [0, 50]},
-        events={"tick": {"when": "c >= 0.1", "set": {"c": "0", "n": "n + 1"}}},
-    )
-    for samples in (0, 50):
-        flown = p.simulate(held, [[0.0, 0.0], [0.05, 0.0]], samples=samples)["simulation"]
-        assert words(flown) == ["time", "time"]
-        assert flown.events.values.tolist() == p.simulate(None, [[0.0, 0.0], [0.05, 0.0]])["simulation"].events.values.tolist()
-
-
-def test_conditions_take_part_in_the_steps():
-    p = pycostate.Problem(
-        states=["c", "n"],
-        controls=["u"],
-        dynamics={"c": "1", "n": "0"},
-        running="u^2",
-        terminal="0",
-        final_time=10,
-        region={"c": [0, 10], "n": [0, 50]},
-        events={"peak": {"when": "cos(20*c) >= 0.95", "set": {"n": "n + 1"}}},
-    )
-    for samples in (0, 50):
-        flown = p.simulate(held, [[0.1, 0.0]], samples=samples)["simulation"]
-        assert flown.x_end.values[0] == pytest.approx([10.1, 32.0], abs=1e-9)
-
-
-def test_an_end_on_the_surface_of_a_bounce():
-    ball = pycostate.Problem.parse(BALL).having(
-        events={"stop": {"when": "h <= 0", "where": "n >= 2", "ends": True}}
-    )
-    assert words(ball.simulate(held)["simulation"]) == ["event_stop"] == words(ball.simulate()["simulation"])
-
-
 def clock(**events):
     return pycostate.Problem(
         states=["c", "n"],
@@ -247,6 +207,29 @@ def clock(**events):
         region={"c": [0, 10], "n": [0, 50]},
         events=events,
     )
+
+
+def test_a_clock_ticks_at_stored_times():
+    p = clock(tick={"when": "c >= 0.1", "set": {"c": "0", "n": "n + 1"}})
+    x0 = [[0.0, 0.0], [0.05, 0.0]]
+    for samples in (0, 50):
+        flown = p.simulate(held, x0, time=5.0, samples=samples)["simulation"]
+        assert words(flown) == ["time", "time"]
+        assert flown.events.values.tolist() == p.simulate(None, x0, time=5.0)["simulation"].events.values.tolist()
+
+
+def test_conditions_take_part_in_the_steps():
+    p = clock(peak={"when": "cos(20*c) >= 0.95", "set": {"n": "n + 1"}})
+    for samples in (0, 50):
+        flown = p.simulate(held, [[0.1, 0.0]], samples=samples)["simulation"]
+        assert flown.x_end.values[0] == pytest.approx([10.1, 32.0], abs=1e-9)
+
+
+def test_an_end_on_the_surface_of_a_bounce():
+    ball = pycostate.Problem.parse(BALL).having(
+        events={"stop": {"when": "h <= 0", "where": "n >= 2", "ends": True}}
+    )
+    assert words(ball.simulate(held)["simulation"]) == ["event_stop"] == words(ball.simulate()["simulation"])
 
 
 @pytest.mark.parametrize("when", ["(c-5)^2 >= 0.01", "cos(5*c) <= 0.95", "cos(10*c) >= 0"])
