@@ -191,8 +191,7 @@ impl Course {
         air.settled = self.is_settled(&air.s);
         (air.before.0, air.before.2) = (air.t, air.cost);
         air.before.1.clone_from(&air.s);
-        // What is kept stays where it is: freed by another thread than that which has allocated it, it
-        // would make both wait.
+        // What is kept stays where it is: threads that take memory at every period wait for each other.
         match &mut air.law {
             Some((old_q, old_h)) => {
                 old_q.clone_from(&q);
