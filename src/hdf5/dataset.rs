@@ -252,6 +252,38 @@ impl GroupWriter {
         }
     }
 
+    /// Writes a part of a variable that does not grow: from `first` on along its first dimension, as
+    /// much as there are values.
+    ///
+    /// # Errors
+    /// Those of [`write`](Self::write).
+    pub fn write_from<'v>(
+        &mut self,
+        name: &str,
+        first: usize,
+        values: impl Into<Values<'v>>,
+    ) -> Result<(), OutputError> {
+        let values = values.into();
+        let column = self.column(name, false)?;
+        let shape = column.dataset.shape();
+        let inner: usize = shape.iter().skip(1).product();
+        let count = values.len() / inner.max(1);
+        let left = shape.first().map_or(0, |all| all.saturating_sub(first));
+        self.check(column, count.min(left) * inner, &values)?;
+        let starts: Vec<usize> = (0..shape.len())
+            .map(|i| if i == 0 { first } else { 0 })
+            .collect();
+        let mut counts = shape;
+        if let Some(along) = counts.first_mut() {
+            *along = count;
+        }
+        let written = match values {
+            Values::F64(values) => column.dataset.write_slice(&starts, &counts, values),
+            Values::I32(values) => column.dataset.write_slice(&starts, &counts, values),
+        };
+        written.map_err(|error| self.error(name, error))
+    }
+
     fn column(&self, name: &str, grows: bool) -> Result<&Column, OutputError> {
         self.columns
             .iter()

@@ -1,8 +1,8 @@
 //! The groups `/points`, `/points_sheets`, `/map`, `/equal_cost` and `/folds`.
 
 use super::TrajectorySchema;
-use super::table::Table;
-use crate::hdf5::{OutputError, ResultFile};
+use super::table::{Data, Table};
+use crate::hdf5::{GroupWriter, OutputError, ResultFile};
 use crate::schema;
 use crate::value::{Answers, Entry, EqualCost, Evidence, Fold, Grid, PointStatus};
 use std::mem::take;
@@ -101,6 +101,27 @@ impl Columns {
     }
 }
 
+/// Declares the columns of solutions.
+fn solutions_later(axes: &TrajectorySchema, table: &mut Table<'_>) {
+    for name in ["V", "p", "sheet", "lifted_sheet", "winding"] {
+        table.put(name, Data::Later);
+    }
+    if !axes.controls.is_empty() {
+        table.put("u", Data::Later);
+    }
+}
+
+/// Declares those of statuses and of what supports V.
+fn codes_later(table: &mut Table<'_>) {
+    let evidence = Evidence::ALL.map(|(e, name)| (e as i32, name));
+    table
+        .put_codes("status", point_statuses(), Data::Later)
+        .put_codes("evidence", evidence, Data::Later);
+    for name in ["covered_to", "bound", "starts", "flights"] {
+        table.put(name, Data::Later);
+    }
+}
+
 impl ResultFile {
     /// Writes `/points` and `/points_sheets` for the states given from the `first`-th on, `count`
     /// of them, in the order in which they were given.
@@ -158,6 +179,64 @@ impl ResultFile {
         table.put("flown", flown);
         table.write(self)?;
         self.points_sheets(axes, answers, given)
+    }
+
+    /// Makes `/points` for about so many rows, which are appended.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn points_later(
+        &mut self,
+        axes: &TrajectorySchema,
+        rows: usize,
+    ) -> Result<GroupWriter, OutputError> {
+        let mut table = Table::new(&schema::POINTS, axes).length("point", rows);
+        solutions_later(axes, &mut table);
+        for name in [
+            "x0",
+            "iterations",
+            "residual",
+            "H",
+            "sheets",
+            "furthest",
+            "flown",
+        ] {
+            table.put(name, Data::Later);
+        }
+        codes_later(&mut table);
+        self.group(&table.declare()?)
+    }
+
+    /// Makes `/points_sheets` for about so many rows, which are appended.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn points_sheets_later(
+        &mut self,
+        axes: &TrajectorySchema,
+        rows: usize,
+    ) -> Result<GroupWriter, OutputError> {
+        let mut table = Table::new(&schema::POINTS_SHEETS, axes).length("entry", rows);
+        solutions_later(axes, &mut table);
+        for name in ["point", "H", "residual"] {
+            table.put(name, Data::Later);
+        }
+        self.group(&table.declare()?)
+    }
+
+    /// Makes `/map` for a grid, to be written in parts.
+    ///
+    /// # Errors
+    /// [`OutputError`] on writing.
+    pub fn map_later(
+        &mut self,
+        axes: &TrajectorySchema,
+        grid: &Grid,
+    ) -> Result<GroupWriter, OutputError> {
+        let mut table = Table::new(&schema::MAP, axes).grid(&grid.axes, None);
+        solutions_later(axes, &mut table);
+        codes_later(&mut table);
+        self.group(&table.declare()?)
     }
 
     fn points_sheets(

@@ -13,6 +13,7 @@ mod map_pieces;
 mod names;
 mod pieces_group;
 mod record;
+mod shard;
 mod simulation;
 mod stored;
 mod study;
@@ -27,6 +28,7 @@ pub use interpolated::{Places, Times, interpolated_status, interpolated_statuses
 pub use known::StoredMapError;
 pub use names::{Axis, TrajectorySchema};
 pub use record::{RunRecord, utc_timestamp};
-pub use stored::{Array, Stored, StoredError, StoredGroup};
+pub use shard::ShardGroups;
+pub use stored::{Array, Stored, StoredColumn, StoredError, StoredGroup};
 pub use table::{Data, Table};
 pub use trajectories::TrajectoryWriter;

@@ -25,6 +25,8 @@ pub enum RunError {
     Stored(#[from] StoredError),
     #[error(transparent)]
     Map(#[from] StoredMapError),
+    #[error(transparent)]
+    Merge(#[from] super::MergeError),
     #[error("{path} asks for no law: it has no [feedback] (or take one from another scene with --scene)", path = path.display())]
     NoFeedback { path: PathBuf },
     #[error("{path} holds neither trajectories with costates, solved states nor a map to an error to fit a law to", path = path.display())]

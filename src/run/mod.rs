@@ -25,6 +25,7 @@ mod evaluate;
 mod fit;
 mod laws;
 mod parts;
+mod shard;
 mod sources;
 
 pub use claims::claims;
@@ -33,6 +34,7 @@ pub use evaluate::{Evaluated, evaluate};
 pub use fit::{FittedFiles, LawFiles, fit_stored};
 pub use laws::{LawsDone, check as check_laws};
 pub use parts::{write_attenuation, write_study};
+pub use shard::{Asked, Manifest, MergeError, MergeOptions, Merged, merge};
 pub use sources::{fitted_laws, other_scene, sources, weights};
 
 use crate::files::{Draft, target};
@@ -139,7 +141,16 @@ impl Session<'_> {
             None => Ok(()),
         })?;
         drop(writer);
-        write_outcome(&mut output.file, &outcome, model, &schema)?;
+        match (&outcome.answers, &outcome.part) {
+            (Some(answers), Some(part)) if part.shard.is_some() => {
+                shard::write_states(&mut output.file, &schema, (answers, part))?;
+                write_sampled(&mut output.file, &outcome, &schema)?;
+                if let Some(manifest) = Manifest::of(self, wanted, &outcome, provenance) {
+                    shard::write_manifest(&output.file, &manifest)?;
+                }
+            }
+            _ => write_outcome(&mut output.file, &outcome, model, &schema)?,
+        }
         if outcome.stopped {
             output.mark_stopped(self)?;
         }
@@ -327,13 +338,7 @@ fn write_outcome(
         }
         file.sheet_edges(schema, answers)?;
     }
-    if let Some((samples, block)) = &outcome.sampled {
-        let schema = TrajectorySchema {
-            samples: *samples,
-            ..schema.clone()
-        };
-        file.trajectories(&schema)?.append(block)?;
-    }
+    write_sampled(file, outcome, schema)?;
     if let Some(made) = &outcome.mapped {
         file.map_pieces(schema, model.time_name(), made)?;
     }
@@ -343,6 +348,22 @@ fn write_outcome(
         .filter(|_| !outcome.variants.is_empty())
     {
         file.study(&TrajectorySchema::axes(model), asked, &outcome.variants)?;
+    }
+    Ok(())
+}
+
+/// Writes the trajectories from states of a list.
+fn write_sampled(
+    file: &mut ResultFile,
+    outcome: &Outcome,
+    schema: &TrajectorySchema,
+) -> Result<(), RunError> {
+    if let Some((samples, block)) = &outcome.sampled {
+        let schema = TrajectorySchema {
+            samples: *samples,
+            ..schema.clone()
+        };
+        file.trajectories(&schema)?.append(block)?;
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ mod laws;
 mod loops;
 mod maps;
 mod page;
+mod shards;
 mod simulations;
 mod studies;
 mod values;
@@ -21,6 +22,7 @@ pub use loops::{
 };
 pub use maps::{MAP_BEYOND, MAP_CHECK, MAP_PIECES};
 pub use page::markdown;
+pub use shards::{SHARD, SHARD_POINTS, SHARD_SEAMS, SHARD_SHEETS};
 pub use simulations::{CYCLES, SIMULATION, SIMULATION_EVENTS, SIMULATION_SAMPLES};
 pub use studies::{
     ATTENUATION, ATTENUATION_CAUSTIC, ATTENUATION_REGIONS, STUDY, STUDY_TRAJECTORIES,
@@ -28,7 +30,7 @@ pub use studies::{
 pub use values::{CAUSTIC, EQUAL_COST, FOLDS, MAP, POINTS, POINTS_SHEETS, TRAJECTORIES};
 
 /// Every group, in the order in which the reference shows them.
-pub static GROUPS: [&Group; 30] = [
+pub static GROUPS: [&Group; 34] = [
     &TRAJECTORIES,
     &CAUSTIC,
     &POINTS,
@@ -59,6 +61,10 @@ pub static GROUPS: [&Group; 30] = [
     &ATTENUATION_CAUSTIC,
     &SPEED_ERROR,
     &HOST_SHARE,
+    &SHARD,
+    &SHARD_POINTS,
+    &SHARD_SHEETS,
+    &SHARD_SEAMS,
 ];
 
 /// A group of the file.

@@ -10,6 +10,7 @@ mod loops;
 mod mechanism;
 mod pass;
 mod progress;
+mod shard;
 mod simulation;
 pub mod summary;
 mod wanted;
@@ -24,8 +25,9 @@ pub use loops::{LoopOptions, Sources, same_problem};
 pub use mechanism::{
     ContactState, Identity, MechanismAt, MechanismState, MechanismSummary, PointState,
 };
-pub use pass::{Outcome, Pass, sweep_and_write};
+pub use pass::{Outcome, Part, Pass, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
+pub use shard::{Shard, ShardError};
 pub use simulation::{ControlledBy, Cycles, Simulated, SimulationOptions, end_name, some_states};
 pub use wanted::{Kept, Listed, States, Wanted};
 

@@ -4,7 +4,7 @@
 use super::estimates::Estimates;
 use super::progress::{Progress, Step};
 use super::wanted::{Kept, Targets, Wanted};
-use super::{Session, SessionError};
+use super::{Session, SessionError, Shard};
 use crate::backend::cpu::in_pool;
 use crate::backend::{Backend, BackendError, Deadline, Trajectories};
 use crate::dynamic_programming::{self, Device, Options, extent};
@@ -14,6 +14,7 @@ use crate::scene::Scene;
 use crate::study::Variant;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
+use crate::value::blocks::{Blocks, Seam};
 use crate::value::{self, Answers, Archive, Entry, PointStatus};
 use std::sync::Arc;
 
@@ -28,6 +29,7 @@ pub struct Pass<'s> {
     kept: Kept,
     study: bool,
     grid_guesses: bool,
+    shard: Option<Shard>,
 }
 
 /// What came of a pass.
@@ -54,7 +56,29 @@ pub struct Outcome {
     pub estimates: Estimates,
     /// Whether the session's deadline ended it before everything was done.
     pub stopped: bool,
+    /// Which of the states asked for these are; `None` where none were.
+    pub part: Option<Part>,
     pub(crate) targets: Option<Targets>,
+}
+
+/// Which of the states asked for were solved for, and what joins them to others.
+pub struct Part {
+    /// The shard that they are; `None` where all were to be solved for.
+    pub shard: Option<Shard>,
+    /// How many states were asked for in all, and in how many blocks they are.
+    pub rows: usize,
+    /// How many blocks there are in all.
+    pub blocks: usize,
+    /// The blocks that were solved here: their numbers, whether each was searched to the end, and
+    /// how many different states it has.
+    pub(crate) own: Vec<usize>,
+    pub(crate) is_done: Vec<bool>,
+    pub(crate) states: Vec<usize>,
+    /// The block of each state that is answered, as they were given.
+    pub(crate) block_of: Vec<usize>,
+    /// The number that the sheet of each solution has within its block.
+    pub(crate) sheet_within: Vec<i32>,
+    pub(crate) seams: Vec<Seam>,
 }
 
 impl Outcome {
@@ -80,6 +104,14 @@ impl Outcome {
 }
 
 impl Session<'_> {
+    /// The states that are asked for; `None` where there are none.
+    ///
+    /// # Errors
+    /// What is wrong with them.
+    pub(crate) fn targets(&self, wanted: &Wanted) -> Result<Option<Targets>, SessionError> {
+        Targets::new(&self.scene.model, wanted)
+    }
+
     /// Plans what is asked for; nothing is computed beyond the local solution.
     ///
     /// # Errors
@@ -116,6 +148,7 @@ impl Session<'_> {
             kept: wanted.kept,
             study: wanted.study && model.study.is_some(),
             grid_guesses: wanted.grid_guesses,
+            shard: wanted.shard,
         })
     }
 }
@@ -147,6 +180,7 @@ impl Pass<'_> {
             stored,
             study,
             grid_guesses,
+            shard,
             ..
         } = self;
         let mut outcome = Outcome {
@@ -160,6 +194,7 @@ impl Pass<'_> {
             variants: Vec::new(),
             estimates: Estimates::default(),
             stopped: false,
+            part: None,
             targets,
             plan,
         };
@@ -173,7 +208,8 @@ impl Pass<'_> {
         }
         in_pool(|| {
             if let Some(archive) = &mut archive {
-                session.solve_states(&mut outcome, archive, direct, grid_guesses)?;
+                let asked = (direct, grid_guesses, shard);
+                session.solve_states(&mut outcome, archive, asked)?;
             }
             if let (Some(aim), Some(archive)) = (aim, &archive) {
                 outcome.mapped = session.map_or_note(&outcome.plan, archive, aim)?;
@@ -202,9 +238,8 @@ impl Session<'_> {
     fn solve_states(
         &self,
         outcome: &mut Outcome,
-        archive: &mut Archive,
-        direct: bool,
-        grid_guesses: bool,
+        archive: &Archive,
+        (direct, grid_guesses, shard): (bool, bool, Option<Shard>),
     ) -> Result<(), SessionError> {
         let plan = &outcome.plan;
         let Some(targets) = &mut outcome.targets else {
@@ -217,24 +252,53 @@ impl Session<'_> {
                 grid => Some(grid?),
             };
         }
-        let mut solver = value::solver(plan, self.backend.as_ref())?;
-        let mut found = self.answers(plan, &mut solver, archive, targets)?;
-        // What nothing has led to may have a swept trajectory near it.
-        let may_need_sweep = direct && value::may_need_sweep(plan) && !found.stopped;
-        if may_need_sweep && found.lacks_guesses() {
-            outcome.swept = self.sweep_into::<SessionError>(plan, Some(archive), None)?;
-            found = self.answers(plan, &mut solver, archive, targets)?;
+        let backend = self.backend.as_ref();
+        let mut solver = value::solver(plan, backend)?;
+        let step = self.step();
+        let mut shown = step.states();
+
+        let blocks = Blocks::new(plan, backend, &targets.request);
+        let count = blocks.blocks.len();
+        let own = match shard {
+            None => (0..count).collect(),
+            Some(shard) => shard.own(count),
+        };
+        let mut swept = None;
+        let mut sweep = |archive: &mut Archive| -> Result<(), SessionError> {
+            swept = Some(self.sweep_into::<SessionError>(plan, Some(archive), None)?);
+            Ok(())
+        };
+        let guesses = (archive, direct.then_some(&mut sweep as _));
+        let scene = (plan, &self.scene.model);
+        let found = blocks.solve(scene, &mut solver, backend, guesses, &own, &mut shown)?;
+        if let Some(swept) = swept {
+            outcome.swept = swept;
         }
-        outcome.listed = if targets.listed { targets.points() } else { 0 };
+        outcome.part = Some(Part {
+            shard,
+            rows: blocks.whole.rows_in_all(),
+            blocks: count,
+            own,
+            block_of: found.block_of,
+            sheet_within: found.sheet_within,
+            is_done: found.is_done,
+            states: found.states,
+            seams: found.seams,
+        });
+        let answers = found.answers;
+
+        let rows = &answers.targets.rows;
+        let of_points = rows.partition_point(|row| *row < targets.points());
+        outcome.listed = if targets.listed { of_points } else { 0 };
         if let Some(samples) = targets.samples {
-            let of_given = &found.targets.of_given[..outcome.listed];
-            let entries: Vec<&Entry> = of_given.iter().filter_map(|t| found.answer(*t)).collect();
+            let of_given = &answers.targets.of_given[..outcome.listed];
+            let entries: Vec<&Entry> = of_given.iter().filter_map(|t| answers.answer(*t)).collect();
             // What is solved has its trajectory, whatever the time.
             solver.deadline = Deadline::default();
             let block = value::sampled(plan, &mut solver, &entries, samples)?;
             outcome.sampled = Some((samples, block));
         }
-        outcome.answers = Some(found);
+        outcome.answers = Some(answers);
         Ok(())
     }
 
@@ -283,27 +347,6 @@ impl Session<'_> {
             &options,
             device,
         )?))
-    }
-
-    /// Solves for the states, with first guesses from an archive.
-    fn answers(
-        &self,
-        plan: &Plan,
-        solver: &mut crate::shooting::Solver,
-        archive: &Archive,
-        targets: &Targets,
-    ) -> Result<Answers, SessionError> {
-        let step = self.step();
-        let model = &self.scene.model;
-        let mut shown = step.states();
-        Ok(value::solve(
-            plan,
-            model,
-            solver,
-            archive,
-            &targets.request,
-            &mut shown,
-        )?)
     }
 
     /// The map that a scene's `[map] error` asks for.
@@ -386,4 +429,4 @@ pub fn sweep_and_write<E: From<SessionError>>(
 /// Takes blocks of swept trajectories.
 pub type Write<'w, E> = &'w mut dyn FnMut(&TrajectoryBlock) -> Result<(), E>;
 
-crate::opaque!(Pass<'_>, Outcome);
+crate::opaque!(Pass<'_>, Outcome, Part);

@@ -1,6 +1,6 @@
 //! What is asked of a scene.
 
-use super::SessionError;
+use super::{SessionError, Shard};
 use crate::model::Model;
 use crate::value::{Grid, Request};
 
@@ -29,6 +29,8 @@ pub struct Wanted {
     pub laws: bool,
     /// First guesses also come from V on a grid (slower; up to 4 states, no games).
     pub grid_guesses: bool,
+    /// Only this part of it. What is not divided, every shard does (the sweep for first guesses).
+    pub shard: Option<Shard>,
 }
 
 /// What is kept of swept trajectories.
@@ -54,6 +56,9 @@ pub enum States {
         /// Whether a scene without any, and without a map to an error, is refused.
         needed: bool,
     },
+    /// Those of the scene's `[map]` alone; a scene without any, and without a map to an error, is
+    /// refused.
+    OfMap,
     /// A list of your own.
     Listed(Listed),
 }
@@ -81,6 +86,7 @@ impl Wanted {
             study: true,
             laws: true,
             grid_guesses: false,
+            shard: None,
         }
     }
 
@@ -98,6 +104,16 @@ impl Wanted {
     pub fn homotopy() -> Self {
         Self {
             states: States::OfScene { needed: true },
+            map: true,
+            ..Self::default()
+        }
+    }
+
+    /// The map that the scene asks for, as `costate map` does it.
+    #[must_use]
+    pub fn map() -> Self {
+        Self {
+            states: States::OfMap,
             map: true,
             ..Self::default()
         }
@@ -158,12 +174,18 @@ impl Targets {
                     ..none
                 }))
             }
-            States::OfScene { needed } => {
-                let homotopy = model.homotopy.as_ref().map(Grid::homotopy);
+            States::OfScene { .. } | States::OfMap => {
+                let of_map = wanted.states == States::OfMap;
+                let homotopy = model.homotopy.as_ref().filter(|_| !of_map);
+                let homotopy = homotopy.map(Grid::homotopy);
                 let map = model.map.as_ref().map(|m| Grid::map(m, model));
                 if homotopy.is_none() && map.is_none() {
-                    return match needed {
-                        true if model.map_aim.is_none() => Err(SessionError::NoTargets),
+                    let is_mapped = model.map_aim.is_some();
+                    return match &wanted.states {
+                        States::OfMap if !is_mapped => Err(SessionError::NoMap),
+                        States::OfScene { needed: true } if !is_mapped => {
+                            Err(SessionError::NoTargets)
+                        }
                         _ => Ok(None),
                     };
                 }

@@ -50,6 +50,20 @@ struct Pair {
     lost: bool,
 }
 
+impl BoundaryPoint {
+    /// The same with other numbers of its sheets, the lower one first.
+    pub fn renumbered(&mut self, number: impl Fn(i32) -> i32) -> bool {
+        self.sheets = self.sheets.map(number);
+        let turned = self.sheets[0] > self.sheets[1];
+        if turned {
+            self.sheets.swap(0, 1);
+            self.p.swap(0, 1);
+            self.s.swap(0, 1);
+        }
+        turned
+    }
+}
+
 impl Survey<'_> {
     /// Locates the equal-cost boundary on all edges whose ends' cheapest solutions lie on different
     /// sheets.
@@ -67,12 +81,12 @@ impl Survey<'_> {
             self.label();
             points = self.crossings(solver, wanted)?.0;
         }
-        self.lines(&mut points);
+        along_lines(&mut points, &self.targets.cells);
         Ok(points)
     }
 
     /// The points where sheets cross; and whether two turned out to be the same, which are joined.
-    fn crossings(
+    pub(super) fn crossings(
         &mut self,
         solver: &mut Solver,
         wanted: Wanted,
@@ -240,47 +254,47 @@ impl Survey<'_> {
         };
         pair.paths = [a.0.path, b.0.path];
     }
+}
 
-    /// Joins the points of cells to polylines: two points on a cell's sides with the same pair of
-    /// sheets are neighbours.
-    fn lines(&self, points: &mut [BoundaryPoint]) {
-        let on_edge: FxHashMap<(usize, usize), usize> = points
-            .iter()
-            .enumerate()
-            .map(|(k, p)| (p.between, k))
-            .collect();
-        let mut next: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-        for cell in &self.targets.cells {
-            let mut by_sheets: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();
-            for q in 0..4 {
-                let (a, b) = (cell[q], cell[(q + 1) % 4]);
-                if let Some(&k) = on_edge.get(&(a.min(b), a.max(b))) {
-                    by_sheets.entry(points[k].sheets).or_default().push(k);
-                }
-            }
-            for list in by_sheets.into_values() {
-                // In order around the cell: neighbours in pairs.
-                for pair in list.chunks_exact(2) {
-                    next.entry(pair[0]).or_default().push(pair[1]);
-                    next.entry(pair[1]).or_default().push(pair[0]);
-                }
+/// Joins the points of cells to polylines: two points on a cell's sides with the same pair of
+/// sheets are neighbours.
+pub fn along_lines(points: &mut [BoundaryPoint], cells: &[[usize; 4]]) {
+    let on_edge: FxHashMap<(usize, usize), usize> = points
+        .iter()
+        .enumerate()
+        .map(|(k, p)| (p.between, k))
+        .collect();
+    let mut next: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for cell in cells {
+        let mut by_sheets: BTreeMap<[i32; 2], Vec<usize>> = BTreeMap::new();
+        for q in 0..4 {
+            let (a, b) = (cell[q], cell[(q + 1) % 4]);
+            if let Some(&k) = on_edge.get(&(a.min(b), a.max(b))) {
+                by_sheets.entry(points[k].sheets).or_default().push(k);
             }
         }
-        let ends = next.iter().filter(|(_, n)| n.len() == 1).map(|(k, _)| *k);
-        let starts: Vec<usize> = ends.chain(next.keys().copied()).collect();
-        let mut line = 0;
-        for start in starts {
-            if points[start].line >= 0 {
-                continue;
+        for list in by_sheets.into_values() {
+            // In order around the cell: neighbours in pairs.
+            for pair in list.chunks_exact(2) {
+                next.entry(pair[0]).or_default().push(pair[1]);
+                next.entry(pair[1]).or_default().push(pair[0]);
             }
-            let (mut at, mut place) = (Some(start), 0);
-            while let Some(k) = at {
-                points[k].line = line;
-                points[k].place = place;
-                place += 1;
-                at = next[&k].iter().copied().find(|q| points[*q].line < 0);
-            }
-            line += 1;
         }
+    }
+    let ends = next.iter().filter(|(_, n)| n.len() == 1).map(|(k, _)| *k);
+    let starts: Vec<usize> = ends.chain(next.keys().copied()).collect();
+    let mut line = 0;
+    for start in starts {
+        if points[start].line >= 0 {
+            continue;
+        }
+        let (mut at, mut place) = (Some(start), 0);
+        while let Some(k) = at {
+            points[k].line = line;
+            points[k].place = place;
+            place += 1;
+            at = next[&k].iter().copied().find(|q| points[*q].line < 0);
+        }
+        line += 1;
     }
 }

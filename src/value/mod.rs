@@ -3,6 +3,7 @@
 mod accuracy;
 mod approach;
 mod archive;
+pub mod blocks;
 mod clearance;
 mod conjugate;
 mod cover;
@@ -35,10 +36,10 @@ pub use march::{Marched, march};
 pub use referee::{Claims, Comparison, Flown, Led, referee};
 pub use sampled::sampled;
 pub use solve::{
-    Answers, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep, guess_seeds,
-    may_need_sweep, solve, solver, spaced,
+    Answers, Common, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep,
+    guess_seeds, may_need_sweep, solve, solve_targets, solver, spaced,
 };
 pub use states::{StatesError, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
-pub use targets::{Grid, Groups, Targets};
+pub use targets::{Grid, Groups, Targets, Whole};
 pub use tracks::{FoundNear, Track, TrackPoints, Wish, path_from, solve_near, track_points};

@@ -10,15 +10,15 @@ use super::survey::{
 };
 use super::targets::{Grid, Targets};
 use crate::backend::cpu::Cpu;
-use crate::backend::{Backend, BackendError};
+use crate::backend::{Backend, BackendError, Deadline};
 use crate::dynamic_programming::{self, Device, GridValue, Options};
 use crate::expr::Id;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::{GridAxis, Homotopy, MapGrid, Model, Precision};
 use crate::shooting::{End, Equations, Path, Scheme, Solver, Work};
 use crate::sweep::{Choices, Plan};
-use std::sync::Arc;
 use std::sync::mpsc::channel;
+use std::sync::{Arc, OnceLock};
 
 /// Tolerance of the answers where the scene asks for less: they are of use as f64 numbers.
 pub(super) const MOST_RTOL: f64 = 1e-9;
@@ -80,6 +80,9 @@ pub struct Entry {
     pub iterations: u32,
     /// The last correction relative to the trajectory's size.
     pub residual: f64,
+    /// `dp/dx` (row-major), where it exists; and how far from a fold it is: 0 on one, at most 1.
+    pub slope: Option<Vec<f64>>,
+    pub fold: f64,
     /// The trajectory.
     pub path: Path,
 }
@@ -89,6 +92,15 @@ pub struct Entry {
 pub struct EqualCost {
     pub point: BoundaryPoint,
     pub u: [Vec<f64>; 2],
+}
+
+impl EqualCost {
+    /// Gives its sheets other numbers.
+    pub fn renumber(&mut self, number: impl Fn(i32) -> i32) {
+        if self.point.renumbered(number) {
+            self.u.swap(0, 1);
+        }
+    }
 }
 
 /// What supports that an answer is the least.
@@ -123,6 +135,7 @@ impl Evidence {
 }
 
 /// What was found.
+#[derive(Default)]
 pub struct Answers {
     /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see
     /// [`Self::answer`]).
@@ -133,6 +146,8 @@ pub struct Answers {
     /// Of a game with an equilibrium the entry at each target on the sheet of the equilibrium.
     pub principal: Option<Vec<Option<usize>>>,
     pub targets: Targets,
+    /// Whether there are too many sheets to be followed over the states.
+    pub is_crowded: bool,
     /// All solutions, by target, then by V.
     pub entries: Vec<Entry>,
     /// First entry of each target, and the end.
@@ -393,6 +408,45 @@ pub fn solver(plan: &Plan, backend: &dyn Backend) -> Result<Solver, BackendError
     Ok(host.after(draft))
 }
 
+/// What serves every state of a plan, made when it is first asked for.
+pub struct Common<'a> {
+    plan: &'a Plan,
+    model: &'a Model,
+    direct: OnceLock<Option<Direct<'a>>>,
+    grids: [OnceLock<Option<Arc<GridValue>>>; 2],
+}
+
+impl<'a> Common<'a> {
+    pub fn new(plan: &'a Plan, model: &'a Model) -> Self {
+        Self {
+            plan,
+            model,
+            direct: OnceLock::new(),
+            grids: [OnceLock::new(), OnceLock::new()],
+        }
+    }
+
+    /// Trajectories optimized directly, until a deadline.
+    fn direct(&self, deadline: Deadline) -> Option<&Direct<'a>> {
+        let made = || {
+            Direct::new(self.plan, self.model, self.plan.segment_duration())
+                .map(|direct| direct.until(deadline))
+        };
+        self.direct.get_or_init(made).as_ref()
+    }
+
+    /// V on a grid; `None` where there is none that serves.
+    fn grid(&self, mesh: Mesh) -> Option<Arc<GridValue>> {
+        let place = match mesh {
+            Mesh::Coarse => &self.grids[0],
+            Mesh::Usual => &self.grids[1],
+        };
+        place
+            .get_or_init(|| guess_grid(self.plan, self.model, mesh).map(Arc::new))
+            .clone()
+    }
+}
+
 /// V on a grid over the region, for guesses where the search cannot show the least; none where that
 /// takes long.
 fn guess_grid(plan: &Plan, model: &Model, mesh: Mesh) -> Option<GridValue> {
@@ -422,44 +476,6 @@ pub fn solve(
     request: &Request,
     progress: Progress<'_>,
 ) -> Result<Answers, BackendError> {
-    // A search has thousands of parallel steps of some microseconds: from outside the pool each is
-    // handed over to one of its threads, and waited for.
-    if rayon::current_thread_index().is_some() {
-        return solve_here(plan, model, solver, archive, request, progress);
-    }
-    let (tell, told) = channel::<(String, usize, usize)>();
-    let mut solved = None;
-    rayon::in_place_scope(|scope| {
-        scope.spawn(|_| {
-            let tell = tell;
-            let mut progress = |what: &str, done: usize, of: usize| {
-                let _ = tell.send((what.to_owned(), done, of));
-            };
-            solved = Some(solve_here(
-                plan,
-                model,
-                solver,
-                archive,
-                request,
-                &mut progress,
-            ));
-        });
-        for (what, done, of) in told {
-            progress(&what, done, of);
-        }
-    });
-    solved.expect("the scope ends after what it has begun")
-}
-
-fn solve_here(
-    plan: &Plan,
-    model: &Model,
-    solver: &mut Solver,
-    archive: &Archive,
-    request: &Request,
-    progress: Progress<'_>,
-) -> Result<Answers, BackendError> {
-    let clock = std::time::Instant::now();
     let mut targets = Targets::new(
         plan.system.states,
         &request.grids,
@@ -470,11 +486,62 @@ fn solve_here(
     if request.in_company {
         targets.gridded.fill(true);
     }
-    let value_max = (request.value_max)
+    let common = Common::new(plan, model);
+    solve_targets(&common, solver, archive, (targets, request), progress)
+}
+
+/// Solves for some of the targets of a request, as if there were no others.
+///
+/// # Errors
+/// Device failures only.
+pub fn solve_targets(
+    common: &Common<'_>,
+    solver: &mut Solver,
+    archive: &Archive,
+    (targets, request): (Targets, &Request),
+    progress: Progress<'_>,
+) -> Result<Answers, BackendError> {
+    // A search has thousands of parallel steps of some microseconds: from outside the pool each is
+    // handed over to one of its threads, and waited for.
+    if rayon::current_thread_index().is_some() {
+        return solve_here(common, solver, archive, (targets, request), progress);
+    }
+    let (tell, told) = channel::<(String, usize, usize)>();
+    let mut solved = None;
+    rayon::in_place_scope(|scope| {
+        scope.spawn(|_| {
+            let tell = tell;
+            let mut progress = |what: &str, done: usize, of: usize| {
+                let _ = tell.send((what.to_owned(), done, of));
+            };
+            let asked = (targets, request);
+            solved = Some(solve_here(common, solver, archive, asked, &mut progress));
+        });
+        for (what, done, of) in told {
+            progress(&what, done, of);
+        }
+    });
+    solved.expect("the scope ends after what it has begun")
+}
+
+/// V up to which sheets are continued.
+pub(super) fn value_max(plan: &Plan, model: &Model, request: &Request) -> f64 {
+    (request.value_max)
         .or(model.sheets.value_max)
-        .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY));
+        .unwrap_or(BEYOND * plan.shoot_out.value_max.unwrap_or(f64::INFINITY))
+}
+
+fn solve_here(
+    common: &Common<'_>,
+    solver: &mut Solver,
+    archive: &Archive,
+    (targets, request): (Targets, &Request),
+    progress: Progress<'_>,
+) -> Result<Answers, BackendError> {
+    let Common { plan, model, .. } = *common;
+    let clock = std::time::Instant::now();
     let wanted = Wanted {
-        value_max,
+        value_max: value_max(plan, model, request),
         sheets: !request.one_sheet,
     };
     let mut survey = Survey::new(plan, &targets, solver)?;
@@ -483,10 +550,9 @@ fn solve_here(
         .transpose()?
         .map(|cover| cover.until(solver.deadline));
     if !cover.as_ref().is_some_and(Cover::has_cells) {
-        survey.direct = Direct::new(plan, model, plan.segment_duration())
-            .map(|direct| direct.until(solver.deadline));
+        survey.direct = common.direct(solver.deadline);
     }
-    let mut make = |mesh| guess_grid(plan, model, mesh);
+    let mut make = |mesh| common.grid(mesh);
     let second = match &request.grid {
         Some(grid) => GridGuesses::Given(grid),
         None => GridGuesses::OnDemand(&mut make),
@@ -509,6 +575,7 @@ fn solve_here(
     Ok(Answers {
         game: plan.game,
         stopped: survey.stopped,
+        is_crowded: survey.is_crowded,
         principal: (!survey.principal.is_empty()).then_some(found.principal),
         sheets: count(&survey.sheet),
         lifted: count(&survey.lifted),
@@ -557,7 +624,7 @@ impl Gathered {
 }
 
 /// Points of equal cost with the controls on both sheets.
-fn with_controls(plan: &Plan, boundary: Vec<BoundaryPoint>) -> Vec<EqualCost> {
+pub(super) fn with_controls(plan: &Plan, boundary: Vec<BoundaryPoint>) -> Vec<EqualCost> {
     let control = |s: &[f64], p: &[f64]| plan.system.eval(&plan.system.observer.control, s, p);
     let of = |point: BoundaryPoint| EqualCost {
         u: [0, 1].map(|k| control(&point.s[k], &point.p[k])),
@@ -617,6 +684,8 @@ fn entry(plan: &Plan, survey: &Survey<'_>, index: usize) -> Entry {
         hamiltonian: values[m + k],
         iterations: extremal.iterations,
         residual: extremal.solved.residual,
+        slope: extremal.solved.slope.clone(),
+        fold: extremal.solved.fold,
         path: extremal.path.clone(),
     }
 }

@@ -2,8 +2,7 @@
 //! the solutions.
 
 use super::{
-    Answers, Archive, Progress, Request, for_guesses, goes_without_sweep, may_need_sweep, solve,
-    solver,
+    Answers, Archive, Progress, Request, blocks::Blocks, for_guesses, goes_without_sweep, solver,
 };
 use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
@@ -67,10 +66,21 @@ pub fn solve_states_folding(
         partial: choices.partial,
         ..Request::default()
     };
-    let mut found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
-    if direct && may_need_sweep(&plan) && !found.stopped && found.lacks_guesses() {
+    let blocks = Blocks::new(&plan, backend, &request);
+    let all: Vec<usize> = (0..blocks.blocks.len()).collect();
+    let mut sweep = |archive: &mut Archive| -> Result<(), StatesError> {
         folds = archive.sweep(&plan, backend)?.folds;
-        found = solve(&plan, model, &mut solver, &archive, &request, progress)?;
-    }
+        Ok(())
+    };
+    let found = blocks.solve(
+        (&plan, model),
+        &mut solver,
+        backend,
+        (&archive, direct.then_some(&mut sweep as _)),
+        &all,
+        progress,
+    )?;
+    drop(blocks);
+    let found = found.answers;
     Ok((plan, solver, found, folds))
 }

@@ -1,6 +1,8 @@
 //! Chosen states, and who is whose neighbour among them.
 
 use super::nearest;
+use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 
 /// States to be solved for. Duplicates are solved once, and everything is done in an order that
 /// depends on the states alone, so that results do not depend on the order in which they are given.
@@ -11,6 +13,8 @@ pub struct Targets {
     pub x: Vec<f64>,
     /// Target of each state as given.
     pub of_given: Vec<usize>,
+    /// The number of each of these states among all that were given: of a part not all are here.
+    pub rows: Vec<usize>,
     /// Pairs of neighbours, lower target first, sorted.
     pub edges: Vec<(usize, usize)>,
     /// V above which a target is of no interest, each.
@@ -65,39 +69,224 @@ impl Grid {
         strides
     }
 
-    /// Neighbours along the axes, as pairs of the grid's numbering.
-    fn edges(&self) -> Vec<(usize, usize)> {
-        let strides = self.strides();
-        let mut edges = Vec::new();
-        for k in 0..self.len() {
-            for (axis, stride) in self.axes.iter().zip(&strides) {
-                if (k / stride) % axis.len() + 1 < axis.len() {
-                    edges.push((k, k + stride));
-                }
-            }
-        }
-        edges
+    /// The neighbours after a point along the axes, as pairs of the grid's numbering.
+    pub fn edges_from(&self, k: usize) -> impl Iterator<Item = (usize, usize)> {
+        (self.axes.iter().zip(self.strides()))
+            .filter(move |(axis, stride)| (k / stride) % axis.len() + 1 < axis.len())
+            .map(move |(_, stride)| (k, k + stride))
     }
 
-    /// Rectangles of a grid with exactly two axes of more than one value.
-    fn cells(&self) -> Vec<[usize; 4]> {
+    /// The neighbours of a point along the axes.
+    pub fn beside(&self, k: usize) -> impl Iterator<Item = usize> {
+        (self.axes.iter().zip(self.strides())).flat_map(move |(axis, stride)| {
+            let place = (k / stride) % axis.len();
+            let before = (place > 0).then(|| k - stride);
+            before
+                .into_iter()
+                .chain((place + 1 < axis.len()).then(|| k + stride))
+        })
+    }
+
+    /// A point by its number.
+    pub fn point(&self, k: usize) -> Vec<f64> {
+        (self.axes.iter().zip(self.strides()))
+            .map(|(axis, stride)| axis[(k / stride) % axis.len()])
+            .collect()
+    }
+
+    /// The number of a point, if it is one of the grid's.
+    pub fn find(&self, x: &[f64]) -> Option<usize> {
+        let mut k = 0;
+        for ((axis, stride), x) in self.axes.iter().zip(self.strides()).zip(x) {
+            k += stride * axis.iter().position(|value| value.total_cmp(x).is_eq())?;
+        }
+        Some(k)
+    }
+
+    /// The rectangle that begins at a point of a grid with exactly two axes of more than one value.
+    pub fn cell_from(&self, k: usize) -> Option<[usize; 4]> {
         let strides = self.strides();
         let long: Vec<usize> = (0..self.axes.len())
             .filter(|i| self.axes[*i].len() > 1)
             .collect();
         let [a, b] = long[..] else {
-            return Vec::new();
+            return None;
         };
         let (sa, sb) = (strides[a], strides[b]);
-        let mut cells = Vec::new();
-        for i in 0..self.axes[a].len() - 1 {
-            for j in 0..self.axes[b].len() - 1 {
-                let k = i * sa + j * sb;
-                cells.push([k, k + sa, k + sa + sb, k + sb]);
-            }
-        }
-        cells
+        let inside = |i: usize| (k / strides[i]) % self.axes[i].len() + 1 < self.axes[i].len();
+        (inside(a) && inside(b)).then(|| [k, k + sa, k + sa + sb, k + sb])
     }
+}
+
+/// All states of a request, each once, before it is known who is whose neighbour.
+pub struct Whole<'g> {
+    grids: &'g [Grid],
+    targets: Targets,
+    /// The states given of each target: those of a target, and where the next one's begin.
+    given: Vec<u32>,
+    first: Vec<u32>,
+    /// States given that belong to grids: the first ones.
+    gridded: usize,
+}
+
+impl<'g> Whole<'g> {
+    /// As [`Targets::new`] takes them.
+    pub fn new(states: usize, grids: &'g [Grid], limits: &[f64], singles: &[f64]) -> Self {
+        let mut given: Vec<f64> = grids.iter().flat_map(Grid::points).collect();
+        let gridded = given.len() / states;
+        given.extend_from_slice(singles);
+        let count = given.len() / states;
+        let row = |k: usize| &given[k * states..][..states];
+        let mut order: Vec<u32> = (0..count as u32).collect();
+        order.par_sort_by(|a, b| compare(row(*a as usize), row(*b as usize)));
+        let mut targets = Targets {
+            states,
+            of_given: vec![0; count],
+            rows: (0..count).collect(),
+            ..Targets::default()
+        };
+        let mut first = Vec::new();
+        for (k, &g) in order.iter().enumerate() {
+            let here = row(g as usize);
+            if k == 0 || compare(row(order[k - 1] as usize), here).is_ne() {
+                targets.x.extend_from_slice(here);
+                first.push(k as u32);
+            }
+            targets.of_given[g as usize] = targets.len() - 1;
+        }
+        first.push(count as u32);
+        targets.limits = vec![f64::NEG_INFINITY; targets.len()];
+        let of_grids =
+            (grids.iter().zip(limits)).flat_map(|(g, limit)| std::iter::repeat_n(*limit, g.len()));
+        for (k, limit) in of_grids
+            .chain(std::iter::repeat(f64::INFINITY))
+            .take(count)
+            .enumerate()
+        {
+            let target = targets.of_given[k];
+            targets.limits[target] = targets.limits[target].max(limit);
+        }
+        targets.gridded = vec![false; targets.len()];
+        for k in 0..gridded {
+            targets.gridded[targets.of_given[k]] = true;
+        }
+        Self {
+            grids,
+            targets,
+            given: order,
+            first,
+            gridded,
+        }
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.targets.len()
+    }
+
+    /// The states `[target][n]`, in lexicographic order.
+    pub fn x(&self) -> &[f64] {
+        &self.targets.x
+    }
+
+    /// The target of a state given.
+    pub fn target(&self, row: usize) -> usize {
+        self.targets.of_given[row]
+    }
+
+    /// How many states were given for grids, and in all.
+    pub fn rows_on_grids(&self) -> usize {
+        self.gridded
+    }
+
+    /// See [`rows_on_grids`](Self::rows_on_grids).
+    pub fn rows_in_all(&self) -> usize {
+        self.given.len()
+    }
+
+    /// The states given of a target, in rising order.
+    pub fn rows(&self, target: usize) -> &[u32] {
+        &self.given[self.first[target] as usize..self.first[target + 1] as usize]
+    }
+
+    /// Some of the targets, by rising number, without their neighbours.
+    pub fn some(&self, members: &[usize]) -> Targets {
+        let all = &self.targets;
+        let mut rows: Vec<(usize, usize)> = (members.iter().enumerate())
+            .flat_map(|(local, t)| self.rows(*t).iter().map(move |g| (*g as usize, local)))
+            .collect();
+        rows.sort_unstable();
+        Targets {
+            states: all.states,
+            x: (members.iter())
+                .flat_map(|t| all.state(*t).iter().copied())
+                .collect(),
+            of_given: rows.iter().map(|(_, local)| *local).collect(),
+            rows: rows.iter().map(|(row, _)| *row).collect(),
+            limits: members.iter().map(|t| all.limits[*t]).collect(),
+            gridded: members.iter().map(|t| all.gridded[*t]).collect(),
+            ..Targets::default()
+        }
+    }
+
+    /// Some of the targets, by rising number, as if there were no others.
+    pub fn part(&self, members: &[usize], widths: &[f64]) -> Targets {
+        let mut this = self.some(members);
+        let on_grids = this.rows.partition_point(|row| *row < self.gridded);
+        let at: FxHashMap<usize, usize> = (this.rows.iter().copied())
+            .zip(this.of_given.iter().copied())
+            .take(on_grids)
+            .collect();
+        let (mut first, mut begin) = (0, 0);
+        let mut before: Vec<usize> = Vec::new();
+        for grid in self.grids {
+            let end = first + grid.len();
+            let count = this.rows[begin..on_grids].partition_point(|row| *row < end);
+            let nodes: Vec<usize> = (this.rows[begin..begin + count].iter())
+                .map(|row| row - first)
+                .collect();
+            let node = |k: usize| at.get(&(first + k)).copied();
+            let edges = nodes.iter().flat_map(|k| grid.edges_from(*k));
+            let edges: Vec<_> = edges.filter_map(|(a, b)| node(a).zip(node(b))).collect();
+            let cells = nodes.iter().filter_map(|k| grid.cell_from(*k));
+            let cells: Vec<_> = cells
+                .filter_map(|cell| {
+                    let [a, b, c, d] = cell.map(node);
+                    Some([a?, b?, c?, d?])
+                })
+                .collect();
+            let own = this.of_given[begin..begin + count].to_vec();
+            this.edges.extend(edges);
+            this.cells.extend(cells);
+            this.join_sets(&before, &own, widths);
+            before.extend(own);
+            (first, begin) = (end, begin + count);
+        }
+        let singles = this.of_given[on_grids..].to_vec();
+        this.join_nearest(&singles, widths);
+        this.edges = (this.edges.iter())
+            .filter(|(a, b)| a != b)
+            .map(|(a, b)| (*a.min(b), *a.max(b)))
+            .collect();
+        this.edges.sort_unstable();
+        this.edges.dedup();
+        this.join_parts(widths);
+        this
+    }
+}
+
+/// How many of the states nearest to a single one, itself included, are looked at as its
+/// neighbours.
+pub fn neighbours_at_once(states: usize) -> usize {
+    states + 2
+}
+
+/// States in lexicographic order.
+pub fn compare(a: &[f64], b: &[f64]) -> std::cmp::Ordering {
+    (a.iter().zip(b))
+        .map(|(x, y)| x.total_cmp(y))
+        .find(|o| o.is_ne())
+        .unwrap_or(std::cmp::Ordering::Equal)
 }
 
 impl Targets {
@@ -113,74 +302,9 @@ impl Targets {
         singles: &[f64],
         widths: &[f64],
     ) -> Self {
-        let mut given: Vec<f64> = grids.iter().flat_map(Grid::points).collect();
-        let gridded = given.len() / states;
-        given.extend_from_slice(singles);
-        let count = given.len() / states;
-        let row = |k: usize| &given[k * states..][..states];
-        let compare = |a: &usize, b: &usize| {
-            let (a, b) = (row(*a), row(*b));
-            a.iter()
-                .zip(b)
-                .map(|(x, y)| x.total_cmp(y))
-                .find(|o| o.is_ne())
-                .unwrap_or(std::cmp::Ordering::Equal)
-        };
-        let mut order: Vec<usize> = (0..count).collect();
-        order.sort_by(compare);
-        let mut this = Self {
-            states,
-            of_given: vec![0; count],
-            ..Self::default()
-        };
-        for (k, &g) in order.iter().enumerate() {
-            if k == 0 || compare(&order[k - 1], &g).is_ne() {
-                this.x.extend_from_slice(row(g));
-            }
-            this.of_given[g] = this.len() - 1;
-        }
-        this.limits = vec![f64::NEG_INFINITY; this.len()];
-        let of_grids =
-            (grids.iter().zip(limits)).flat_map(|(g, limit)| std::iter::repeat_n(*limit, g.len()));
-        for (k, limit) in of_grids
-            .chain(std::iter::repeat(f64::INFINITY))
-            .take(count)
-            .enumerate()
-        {
-            let target = this.of_given[k];
-            this.limits[target] = this.limits[target].max(limit);
-        }
-        this.gridded = vec![false; this.len()];
-        for k in 0..gridded {
-            this.gridded[this.of_given[k]] = true;
-        }
-        let mut first = 0;
-        let mut before: Vec<usize> = Vec::new();
-        for grid in grids {
-            let at = |k: usize| this.of_given[first + k];
-            let edges: Vec<_> = grid
-                .edges()
-                .into_iter()
-                .map(|(a, b)| (at(a), at(b)))
-                .collect();
-            let cells: Vec<_> = grid.cells().into_iter().map(|c| c.map(at)).collect();
-            let own: Vec<usize> = (0..grid.len()).map(at).collect();
-            this.edges.extend(edges);
-            this.cells.extend(cells);
-            this.join_sets(&before, &own, widths);
-            before.extend(own);
-            first += grid.len();
-        }
-        let singles: Vec<usize> = (gridded..count).map(|k| this.of_given[k]).collect();
-        this.join_nearest(&singles, widths);
-        this.edges = (this.edges.iter())
-            .filter(|(a, b)| a != b)
-            .map(|(a, b)| (*a.min(b), *a.max(b)))
-            .collect();
-        this.edges.sort_unstable();
-        this.edges.dedup();
-        this.join_parts(widths);
-        this
+        let whole = Whole::new(states, grids, limits, singles);
+        let all: Vec<usize> = (0..whole.len()).collect();
+        whole.part(&all, widths)
     }
 
     pub fn len(&self) -> usize {
@@ -195,7 +319,7 @@ impl Targets {
         &self.x[target * self.states..][..self.states]
     }
 
-    fn scaled(&self, widths: &[f64]) -> Vec<f64> {
+    pub fn scaled(&self, widths: &[f64]) -> Vec<f64> {
         self.x
             .chunks(self.states)
             .flat_map(|x| x.iter().zip(widths).map(|(x, w)| x / w))
@@ -236,7 +360,7 @@ impl Targets {
         let tree = nearest::index(&scaled, self.states);
         for &a in loose {
             let place = &scaled[a * self.states..][..self.states];
-            let near = tree.near(place, f64::INFINITY, self.states + 2);
+            let near = tree.near(place, f64::INFINITY, neighbours_at_once(self.states));
             self.edges
                 .extend(near.iter().map(|(b, _)| (a, *b)).filter(|(a, b)| a != b));
         }

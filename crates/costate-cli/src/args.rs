@@ -3,6 +3,7 @@
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use costate::low_level::model::{Method, Precision};
 use costate::low_level::sweep::Choices;
+use costate::session::{Shard, ShardError};
 use std::path::PathBuf;
 
 /// Value functions and optimal feedback of nonlinear systems over a region, by bicharacteristics.
@@ -20,11 +21,15 @@ pub enum Command {
     /// Only the sweep outward from the equilibrium (or from the terminal cost).
     ShootOut(RunArgs),
     /// Only V, p and u at the states of [homotopy] and [map], with every sheet found there.
-    Homotopy(RunArgs),
+    Homotopy(DividedArgs),
+    /// Only [map]: V, p and u on its grid, or the map to an error.
+    Map(DividedArgs),
     /// V, p and u at the states in a CSV file, in its order.
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
     Value(ValueArgs),
+    /// Put the results of shards (--shard) together to the whole.
+    Merge(MergeArgs),
     /// Ask a second method, V on a grid (dynamic programming), whether V at the solved states of a
     /// result file is the least.
     CheckLeast(CheckLeastArgs),
@@ -231,10 +236,60 @@ pub struct RunArgs {
     pub grid_guesses: bool,
 }
 
+/// Which part of the work to do.
+#[derive(Args, Debug, Clone, Copy)]
+pub struct ShardArgs {
+    /// Only this part of the work: shard M (from 0) of N; `none`: all of it. `costate merge` puts the
+    /// parts together [default: in a Slurm job array this task's, by SLURM_ARRAY_TASK_ID, _COUNT
+    /// and _MIN; else all]
+    #[arg(long, value_name = "M/N", value_parser = shard)]
+    pub shard: Option<ShardChoice>,
+}
+
+/// A part of the work, or all of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShardChoice {
+    All,
+    One(Shard),
+}
+
+fn shard(text: &str) -> Result<ShardChoice, ShardError> {
+    match text {
+        "none" => Ok(ShardChoice::All),
+        text => text.parse().map(ShardChoice::One),
+    }
+}
+
+/// A run that can be divided.
+#[derive(Args, Debug, Clone)]
+pub struct DividedArgs {
+    #[command(flatten)]
+    pub run: RunArgs,
+    #[command(flatten)]
+    pub part: ShardArgs,
+}
+
+#[derive(Args, Debug, Clone)]
+pub struct MergeArgs {
+    /// The results of the shards.
+    #[arg(value_name = "PART.h5", required = true)]
+    pub parts: Vec<PathBuf>,
+    /// The whole.
+    #[arg(long, value_name = "FILE.h5")]
+    pub out: PathBuf,
+    /// Put together what there is; states of shards that are missing have the status `not_merged`.
+    #[arg(long)]
+    pub partial: bool,
+    #[command(flatten)]
+    pub print: PrintArgs,
+}
+
 #[derive(Args, Debug, Clone)]
 pub struct SolveArgs {
     #[command(flatten)]
     pub run: RunArgs,
+    #[command(flatten)]
+    pub part: ShardArgs,
     /// The states: a CSV file whose header names states. States it does not name are at the
     /// equilibrium.
     #[arg(long, value_name = "FILE.csv")]

@@ -50,6 +50,8 @@ pub enum CliError {
     #[error(transparent)]
     Refused(#[from] GridRefusal),
     #[error(transparent)]
+    Shard(#[from] ShardRefusal),
+    #[error(transparent)]
     Bench(#[from] BenchError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
     PictureName { path: PathBuf },
@@ -134,7 +136,10 @@ of_a_run!(
 impl CliError {
     /// 2 for what the user wrote, 1 for what could not be done, 75 for what was ended before.
     pub fn status(&self) -> u8 {
-        if matches!(self, Self::Stopped { .. } | Self::Nothing { .. }) {
+        if matches!(
+            self,
+            Self::Stopped { .. } | Self::Nothing { .. } | Self::Shard(ShardRefusal::Partial { .. })
+        ) {
             return UNFINISHED;
         }
         let of_input = match self {
@@ -185,6 +190,32 @@ impl CliError {
         // Nowhere is left to report a failure of this.
         let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
     }
+}
+
+/// Why no part of the work is done, or not all parts were put together.
+#[derive(Debug, thiserror::Error)]
+pub enum ShardRefusal {
+    #[error(
+        "{is} is set, and {not} is not: which shard is this? Give --shard M/N (or --shard none)"
+    )]
+    Half { is: &'static str, not: &'static str },
+    #[error("{name}: `{text}` is no number: give --shard M/N (or --shard none)")]
+    NoNumber { name: &'static str, text: String },
+    #[error(
+        "task {id} is none of {of} from {min} on in steps of {step} (a part of a job array that is run again?): give --shard M/N"
+    )]
+    NotInTurn {
+        id: usize,
+        of: usize,
+        min: usize,
+        step: usize,
+    },
+    #[error(
+        "a shard's result is put together with others: name a result file (--out FILE.h5), not a table"
+    )]
+    Table,
+    #[error("not all states are there; {path} says which", path = path.display())]
+    Partial { path: PathBuf },
 }
 
 /// What is wrong with the places asked for.

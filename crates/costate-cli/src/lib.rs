@@ -18,8 +18,8 @@ use commands::import;
 #[cfg(feature = "report")]
 use commands::report;
 use commands::{
-    attenuation, bench, check, check_least, evaluate, export, fit, mechanism, run, simulate, study,
-    value,
+    attenuation, bench, check, check_least, evaluate, export, fit, mechanism, merge, run, simulate,
+    study, value,
 };
 use costate::low_level::diagnostics::{printable, unprintable};
 
@@ -64,7 +64,9 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
     let done = match cli.command {
         Command::Run(args) => run::run(&args, run::Parts::All),
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
-        Command::Homotopy(args) => run::run(&args, run::Parts::Homotopy),
+        Command::Homotopy(args) => run::run(&args.run, run::Parts::Homotopy(args.part)),
+        Command::Map(args) => run::run(&args.run, run::Parts::Map(args.part)),
+        Command::Merge(args) => merge::merge(&args),
         Command::Solve(args) => run::run(&args.run, run::Parts::Solve(&args)),
         Command::CheckLeast(args) => check_least::check_least(&args),
         Command::Study(args) => study::study(&args),

@@ -30,7 +30,7 @@ struct Undercutting {
 }
 
 /// How well it is supported that the least V found at a target is the least there is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Support {
     /// First guesses tried.
     pub starts: u32,

@@ -6,6 +6,7 @@ use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
 use rayon::prelude::*;
 use rustc_hash::FxHashMap;
+use std::sync::Arc;
 
 /// Shortest steps, as shares of the way, from a greedy path.
 const FROM_GRID: f64 = 1.0 / 16.0;
@@ -42,7 +43,7 @@ impl Survey<'_> {
     pub(super) fn try_doubtful(
         &mut self,
         solver: &mut Solver,
-        make: &mut dyn FnMut(Mesh) -> Option<GridValue>,
+        make: &mut dyn FnMut(Mesh) -> Option<Arc<GridValue>>,
         progress: Progress<'_>,
     ) -> Result<(), BackendError> {
         let doubtful: Vec<usize> = (0..self.targets.len())
@@ -66,7 +67,7 @@ impl Survey<'_> {
     pub(super) fn try_lost(
         &mut self,
         solver: &mut Solver,
-        make: &mut dyn FnMut(Mesh) -> Option<GridValue>,
+        make: &mut dyn FnMut(Mesh) -> Option<Arc<GridValue>>,
         progress: Progress<'_>,
     ) -> Result<bool, BackendError> {
         let is_lost = |t: &usize| self.flown[*t] == Some(f64::INFINITY) && !self.is_covered(*t);
@@ -86,7 +87,7 @@ impl Survey<'_> {
     fn try_mesh(
         &mut self,
         solver: &mut Solver,
-        make: &mut dyn FnMut(Mesh) -> Option<GridValue>,
+        make: &mut dyn FnMut(Mesh) -> Option<Arc<GridValue>>,
         mesh: Mesh,
         doubtful: Vec<usize>,
     ) -> Result<Vec<usize>, BackendError> {

@@ -30,6 +30,26 @@ impl Sheets {
             .insert(index, FxHashMap::from_iter([(place, index)]));
     }
 
+    /// Notes that two extremals are on one sheet, whatever else is.
+    pub fn unite(&mut self, a: usize, b: usize) {
+        let (a, b) = (self.groups.root(a), self.groups.root(b));
+        if a == b {
+            return;
+        }
+        self.groups.join(a, b);
+        let mut all = self.members.remove(&a).unwrap_or_default();
+        all.extend(self.members.remove(&b).unwrap_or_default());
+        self.members.insert(self.groups.root(a), all);
+    }
+
+    /// Notes that two extremals are on different sheets over a state, which has this number.
+    pub fn part(&mut self, a: usize, b: usize, state: usize) {
+        for e in [a, b] {
+            let root = self.groups.root(e);
+            self.members.entry(root).or_default().insert((state, 0), e);
+        }
+    }
+
     pub fn root(&mut self, e: usize) -> usize {
         self.groups.root(e)
     }
@@ -94,7 +114,8 @@ impl Survey<'_> {
     pub(in crate::low_level::value) fn label(&mut self) {
         self.sheet = self.joined.numbers(&self.extremals);
         self.lifted = if self.plan.periods.iter().any(Option::is_some) {
-            self.with_copies().numbers(&self.extremals)
+            self.with_copies(self.joined.clone())
+                .numbers(&self.extremals)
         } else {
             self.sheet.clone()
         };
@@ -103,8 +124,7 @@ impl Survey<'_> {
     /// The sheets with copies joined. A solution from a target with a winding is one from the state
     /// that many periods away: on the line, instead of the circle, what lies next to each other
     /// there may be one sheet.
-    fn with_copies(&self) -> Sheets {
-        let mut sheets = self.joined.clone();
+    pub(in crate::low_level::value) fn with_copies(&self, mut sheets: Sheets) -> Sheets {
         let mut at: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
         for (e, extremal) in self.extremals.iter().enumerate() {
             at.entry((extremal.target, extremal.winding))

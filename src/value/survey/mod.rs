@@ -45,12 +45,12 @@ use crate::backend::BackendError;
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Failure, Path, Solver};
 use crate::sweep::Plan;
-use label::Sheets;
+pub(in crate::low_level::value) use label::Sheets;
 use rayon::prelude::*;
 use rustc_hash::FxHashSet;
 use spread::{Effort, Followed};
 use std::collections::BTreeMap;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 /// Shortest steps, as shares of the way, where there is nothing near to start from.
 const SHORT: f64 = 1.0 / 256.0;
@@ -151,9 +151,9 @@ pub struct Survey<'a> {
     /// Whether there are too many sheets to be followed over the states.
     pub is_crowded: bool,
     /// Where single states are to be solved for from trajectories that are optimized directly.
-    pub(in crate::low_level::value) direct: Option<Direct<'a>>,
-    pub(super) joined: Sheets,
-    pub(super) scales: Vec<f64>,
+    pub(in crate::low_level::value) direct: Option<&'a Direct<'a>>,
+    pub(in crate::low_level::value) joined: Sheets,
+    pub(in crate::low_level::value) scales: Vec<f64>,
     duration: f64,
     /// With whether each excludes its boundary.
     guards: Option<(Guards, Vec<bool>)>,
@@ -179,7 +179,7 @@ pub enum GridGuesses<'p> {
     /// At every target.
     Given(&'p GridValue),
     /// Made, where it can be, once the search has left doubts, and for the targets in doubt.
-    OnDemand(&'p mut dyn FnMut(Mesh) -> Option<GridValue>),
+    OnDemand(&'p mut dyn FnMut(Mesh) -> Option<Arc<GridValue>>),
 }
 
 /// How fine a grid is that is made for guesses.
@@ -302,12 +302,8 @@ impl<'a> Survey<'a> {
         &mut self,
         work: impl FnOnce(&mut Self, &Direct<'a>) -> Result<T, BackendError>,
     ) -> Result<Option<T>, BackendError> {
-        let Some(direct) = self.direct.take() else {
-            return Ok(None);
-        };
-        let done = work(self, &direct);
-        self.direct = Some(direct);
-        done.map(Some)
+        let direct = self.direct;
+        direct.map(|direct| work(self, direct)).transpose()
     }
 
     /// Where costs are nowhere negative what was left out does not promise less than 0, however far

@@ -33,10 +33,12 @@ pub enum PointStatus {
     Undercut = 11,
     /// The run was ended before it was solved.
     OutOfTime = 12,
+    /// The shard that it belongs to is not among those that were put together.
+    NotMerged = 13,
 }
 
 impl PointStatus {
-    pub const ALL: [(PointStatus, &'static str); 13] = [
+    pub const ALL: [(PointStatus, &'static str); 14] = [
         (PointStatus::Converged, "converged"),
         (PointStatus::OutsideGuard, "outside_guard"),
         (PointStatus::LeavesGuard, "leaves_guard"),
@@ -50,6 +52,7 @@ impl PointStatus {
         (PointStatus::NegativeValue, "negative_value"),
         (PointStatus::Undercut, "undercut"),
         (PointStatus::OutOfTime, "out_of_time"),
+        (PointStatus::NotMerged, "not_merged"),
     ];
 
     pub fn name(self) -> &'static str {

@@ -10,7 +10,7 @@ const MOST_WINDINGS: i32 = 16;
 
 impl Survey<'_> {
     /// The number of a winding, a new one where it has none yet.
-    pub(super) fn winding(&mut self, turns: &[i32]) -> usize {
+    pub(in crate::low_level::value) fn winding(&mut self, turns: &[i32]) -> usize {
         if let Some(known) = self.windings.iter().position(|w| w == turns) {
             return known;
         }
@@ -90,7 +90,7 @@ impl Survey<'_> {
     }
 
     /// Whether windings of two targets count from the same place.
-    pub(super) fn same_base(&self, a: usize, b: usize) -> bool {
+    pub(in crate::low_level::value) fn same_base(&self, a: usize, b: usize) -> bool {
         (0..self.targets.states).all(|i| self.base(a, i) == self.base(b, i))
     }
 

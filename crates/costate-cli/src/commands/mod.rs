@@ -11,6 +11,7 @@ pub mod fit;
 #[cfg(feature = "urdf")]
 pub mod import;
 pub mod mechanism;
+pub mod merge;
 #[cfg(feature = "report")]
 pub mod report;
 pub mod run;

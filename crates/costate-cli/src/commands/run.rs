@@ -1,11 +1,11 @@
 //! `costate run` and its parts.
 
-use crate::args::{RunArgs, SolveArgs};
+use crate::args::{RunArgs, ShardArgs, SolveArgs};
 use crate::common::ending::Ending;
 use crate::common::load::load;
-use crate::common::{Kind, check_out, pictures, points, print_json, provenance};
+use crate::common::{Kind, check_out, pictures, points, print_json, provenance, shard};
 use crate::error::CliError;
-use crate::error::GridRefusal;
+use crate::error::{GridRefusal, ShardRefusal};
 use crate::terminal::Terminal;
 use crate::text::listed;
 use costate::low_level::dynamic_programming;
@@ -24,7 +24,8 @@ use std::path::{Path, PathBuf};
 pub enum Parts<'a> {
     All,
     ShootOut,
-    Homotopy,
+    Homotopy(ShardArgs),
+    Map(ShardArgs),
     Solve(&'a SolveArgs),
 }
 
@@ -39,8 +40,14 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     if let Some(solve) = solve.filter(|_| table) {
         listed::check_table(solve, model)?;
     }
-    let wanted = parts.wanted(args, model)?;
+    let mut wanted = parts.wanted(args, model)?;
     let terminal = Terminal::new(args.scene.print);
+    if let Some(part) = parts.part() {
+        wanted.shard = shard::of(part, &terminal)?;
+        if table && wanted.shard.is_some() {
+            return Err(ShardRefusal::Table.into());
+        }
+    }
     if wanted.kept != Kept::All && !(wanted.sweep && model.shoot_out.is_some()) {
         let option = match wanted.kept {
             Kept::Values => "--values-only",
@@ -100,12 +107,22 @@ impl<'a> Parts<'a> {
         }
     }
 
+    /// Which part of it, if it can be divided.
+    fn part(self) -> Option<ShardArgs> {
+        match self {
+            Parts::Solve(solve) => Some(solve.part),
+            Parts::Homotopy(part) | Parts::Map(part) => Some(part),
+            Parts::All | Parts::ShootOut => None,
+        }
+    }
+
     /// What the session is asked for.
     fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
         let mut wanted = match self {
             Parts::All => Wanted::all(),
             Parts::ShootOut => Wanted::sweep(),
-            Parts::Homotopy => Wanted::homotopy(),
+            Parts::Homotopy(_) => Wanted::homotopy(),
+            Parts::Map(_) => Wanted::map(),
             Parts::Solve(solve) => Wanted {
                 states: States::Listed(Listed {
                     x: points::read(&solve.points, model)?,

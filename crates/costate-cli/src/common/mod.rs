@@ -7,6 +7,7 @@ pub mod load;
 pub mod open;
 pub mod pictures;
 pub mod points;
+pub mod shard;
 
 use crate::error::CliError;
 use crate::terminal::Terminal;

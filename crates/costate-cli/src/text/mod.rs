@@ -8,6 +8,7 @@ pub mod evaluation;
 pub mod laws;
 pub mod listed;
 pub mod mapped;
+pub mod merged;
 pub mod simulated;
 pub mod solved;
 pub mod study;

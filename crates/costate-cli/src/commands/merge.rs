@@ -1,0 +1,28 @@
+//! `costate merge`: the results of shards as one.
+
+use crate::args::MergeArgs;
+use crate::common::{Kind, check_out, print_json, provenance};
+use crate::error::{CliError, ShardRefusal};
+use crate::terminal::Terminal;
+use crate::text;
+use costate::run::{MergeOptions, merge as put_together};
+use std::path::Path;
+
+pub fn merge(args: &MergeArgs) -> Result<(), CliError> {
+    let provenance = provenance();
+    let inputs: Vec<&Path> = args.parts.iter().map(AsRef::as_ref).collect();
+    check_out(Some(&args.out), &[Kind::Result], &inputs)?;
+    let terminal = Terminal::new(args.print);
+    let options = MergeOptions {
+        partial: args.partial,
+    };
+    let merged = put_together(&args.parts, &args.out, options, &provenance, &terminal)?;
+    terminal.say(&text::merged::merged(&merged))?;
+    if args.print.json {
+        print_json(&merged.summary)?;
+    }
+    match merged.missing.is_empty() && merged.unfinished.is_empty() {
+        true => Ok(()),
+        false => Err(ShardRefusal::Partial { path: merged.path }.into()),
+    }
+}

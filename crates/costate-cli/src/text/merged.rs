@@ -1,0 +1,28 @@
+//! What was put together.
+
+use costate::run::Merged;
+use std::fmt::Write;
+
+pub fn merged(merged: &Merged) -> String {
+    let mut text = format!("{} of {} shards", merged.files, merged.shards);
+    if let Some(solved) = &merged.summary.homotopy {
+        let statuses: Vec<String> = (solved.status.iter())
+            .map(|(name, count)| format!("{count} {}", name.replace('_', " ")))
+            .collect();
+        let _ = write!(
+            text,
+            ": {} states: {}; {} solutions on {} sheets",
+            solved.states,
+            statuses.join(", "),
+            solved.solutions,
+            solved.sheets
+        );
+    }
+    let _ = write!(
+        text,
+        "\n{:.2} s, written to {}",
+        merged.seconds,
+        merged.path.display()
+    );
+    text
+}

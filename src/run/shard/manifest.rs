@@ -1,0 +1,205 @@
+//! What a part says of the whole that it is of.
+
+use super::super::Provenance;
+use crate::model::Model;
+use crate::result::Stored;
+use crate::session::{Outcome, Part, Session, States, Wanted};
+use crate::sweep::Plan;
+use serde::{Deserialize, Serialize};
+
+/// What was asked for, beside the scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Asked {
+    /// Whether the states are a list of the user's own, else those of the scene.
+    pub listed: bool,
+    /// The states of `[map]` alone.
+    pub of_map: bool,
+    /// One solution a state is enough.
+    pub one_sheet: bool,
+    /// Stored points of the trajectory from each state.
+    pub samples: Option<usize>,
+    /// First guesses also come from V on a grid.
+    pub grid_guesses: bool,
+    /// States in all.
+    pub rows: usize,
+    /// How many of them, from the first on, belong to `/points`.
+    pub points: usize,
+    /// A hash of all states' bits.
+    pub states: String,
+}
+
+/// What a file is a part of: those of one whole differ in `shard` alone.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// This part's number, from 0.
+    pub shard: usize,
+    /// How many parts there are.
+    pub shards: usize,
+    /// How many units of work there are in all.
+    pub units: usize,
+    /// The program's version.
+    pub version: String,
+    /// The commit that it was built from.
+    pub revision: String,
+    /// A hash of the scene's text with what `--set` replaced.
+    pub scene: String,
+    /// What was asked for beside it.
+    pub asked: Asked,
+    /// What integrated.
+    pub backend: String,
+    /// In which arithmetic.
+    pub precision: String,
+    /// By which method.
+    pub method: String,
+    /// The relative tolerance asked for.
+    pub rtol: f64,
+}
+
+impl Manifest {
+    /// Of the part that a pass has made; `None` where it solved for no states.
+    pub(in crate::run) fn of(
+        session: &Session<'_>,
+        wanted: &Wanted,
+        outcome: &Outcome,
+        provenance: &Provenance,
+    ) -> Option<Self> {
+        let (part, targets) = (outcome.part.as_ref()?, outcome.targets.as_ref()?);
+        let model = &session.scene().model;
+        let (one_sheet, samples) = match &wanted.states {
+            States::Listed(listed) => (listed.one_sheet, listed.samples),
+            _ => (false, None),
+        };
+        let asked = Asked {
+            listed: targets.listed,
+            of_map: wanted.states == States::OfMap,
+            one_sheet,
+            samples,
+            grid_guesses: wanted.grid_guesses,
+            rows: part.rows,
+            points: targets.points(),
+            states: hash_of(targets.all().iter().flat_map(|x| x.to_bits().to_le_bytes())),
+        };
+        Some(Self::made(
+            session,
+            &outcome.plan,
+            part,
+            asked,
+            provenance,
+            model,
+        ))
+    }
+
+    fn made(
+        session: &Session<'_>,
+        plan: &Plan,
+        part: &Part,
+        asked: Asked,
+        provenance: &Provenance,
+        model: &Model,
+    ) -> Self {
+        Self {
+            shard: part.shard.map_or(0, |shard| shard.number()),
+            shards: part.shard.map_or(1, |shard| shard.of()),
+            units: part.blocks,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            revision: provenance.git_revision.clone(),
+            scene: of_scene(model),
+            asked,
+            backend: session.backend().name().to_owned(),
+            precision: plan.spec.precision.name().to_owned(),
+            method: plan.method().name().to_owned(),
+            rtol: plan.rtol_asked,
+        }
+    }
+
+    /// That of a file; `None` where it is no part of anything.
+    #[must_use]
+    pub fn read(stored: &Stored) -> Option<Self> {
+        serde_json::from_str(&stored.attribute(super::MANIFEST)?).ok()
+    }
+
+    /// What tells another part of another whole, in words, with both; `None` where they are of one.
+    #[must_use]
+    pub fn differs(&self, other: &Self) -> Option<(&'static str, String, String)> {
+        let a = self.named();
+        let b = other.named();
+        (a.into_iter().zip(b))
+            .find(|((_, a), (_, b))| a != b)
+            .map(|((what, a), (_, b))| (what, a, b))
+    }
+
+    /// What is the same in all parts, in words.
+    fn named(&self) -> [(&'static str, String); 10] {
+        let asked = &self.asked;
+        let options = format!(
+            "one solution a state: {}, points a trajectory: {:?}, guesses from a grid: {}",
+            asked.one_sheet, asked.samples, asked.grid_guesses
+        );
+        [
+            ("version of costate", self.version.clone()),
+            ("commit that costate was built from", self.revision.clone()),
+            ("scene (with --set)", self.scene.clone()),
+            ("number of shards", self.shards.to_string()),
+            ("number of states", asked.rows.to_string()),
+            ("list of states", asked.states.clone()),
+            ("options", options),
+            (
+                "backend and precision",
+                format!("{}, {}", self.backend, self.precision),
+            ),
+            (
+                "method and tolerance",
+                format!("{}, {:e}", self.method, self.rtol),
+            ),
+            ("number of units", self.units.to_string()),
+        ]
+    }
+}
+
+/// Of a scene's text and what replaces its parameters.
+fn of_scene(model: &Model) -> String {
+    let replaced = model.overrides.iter().map(|(n, v)| format!("\n{n}={v}"));
+    let text: String = std::iter::once(model.text.clone())
+        .chain(replaced)
+        .collect();
+    hash_of(text.bytes())
+}
+
+/// FNV-1a of 64 bits (Fowler, Noll, Vo; draft-eastlake-fnv), in hexadecimal: tells apart what was
+/// not meant to be alike.
+fn hash_of(bytes: impl IntoIterator<Item = u8>) -> String {
+    let hash = (bytes.into_iter()).fold(0xcbf2_9ce4_8422_2325u64, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    format!("{hash:016x}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hashes_are_those_of_the_reference() {
+        assert_eq!(hash_of(*b""), "cbf29ce484222325");
+        assert_eq!(hash_of(*b"foobar"), "85944171f73967e8");
+    }
+
+    #[test]
+    fn parts_of_one_whole_differ_in_their_number_alone() {
+        let one = Manifest {
+            shards: 4,
+            ..Manifest::default()
+        };
+        let other = Manifest {
+            shard: 2,
+            ..one.clone()
+        };
+        assert_eq!(one.differs(&other), None);
+        let more = Manifest { shards: 8, ..other };
+        let (what, a, b) = one.differs(&more).expect("another count");
+        assert_eq!(
+            (what, a.as_str(), b.as_str()),
+            ("number of shards", "4", "8")
+        );
+    }
+}

@@ -1,0 +1,73 @@
+//! Files of parts of the whole: what each says of itself, and how they become one.
+
+mod manifest;
+mod merge;
+mod rows;
+
+pub use manifest::{Asked, Manifest};
+pub use merge::{MergeError, MergeOptions, Merged, merge};
+
+use super::RunError;
+use crate::hdf5::ResultFile;
+use crate::result::{ShardGroups, TrajectorySchema};
+use crate::session::Part;
+use crate::value::Answers;
+use crate::value::blocks::Seam;
+
+/// The root attribute that the manifest is in.
+const MANIFEST: &str = "manifest";
+
+/// Writes the states that were solved for as a part of the whole: all of them to `/points`, those
+/// of a map too, with what is needed to put parts together.
+///
+/// # Errors
+/// Those of writing.
+pub(super) fn write_states(
+    file: &mut ResultFile,
+    schema: &TrajectorySchema,
+    (answers, part): (&Answers, &Part),
+) -> Result<(), RunError> {
+    file.points(schema, answers, 0, answers.targets.of_given.len())?;
+    file.sheet_edges(schema, answers)?;
+    Ok(file.shard(&groups(answers, part))?)
+}
+
+/// Notes what a file is a part of.
+///
+/// # Errors
+/// Those of writing.
+pub(super) fn write_manifest(file: &ResultFile, manifest: &Manifest) -> Result<(), RunError> {
+    file.attribute("shard", manifest.shard as i64)?;
+    file.attribute("shards", manifest.shards as i64)?;
+    let text = serde_json::to_string(manifest).unwrap_or_default();
+    Ok(file.attribute(MANIFEST, text)?)
+}
+
+/// Where the rows of a part belong.
+fn groups(answers: &Answers, part: &Part) -> ShardGroups {
+    let targets = &answers.targets;
+    let number = |k: usize| i32::try_from(k).unwrap_or(i32::MAX);
+    let of_answer = |target: usize| {
+        let place = |entry: &crate::value::Entry| {
+            let here = answers.of(target);
+            here.iter().position(|other| std::ptr::eq(other, entry))
+        };
+        let place = answers.answer(target).and_then(place);
+        place.map_or(-1, |k| part.sheet_within[answers.first[target] + k])
+    };
+    let entries = targets.of_given.iter().flat_map(|t| {
+        part.sheet_within[answers.first[*t]..answers.first[*t + 1]]
+            .iter()
+            .copied()
+    });
+    ShardGroups {
+        number: part.own.iter().map(|k| number(*k)).collect(),
+        done: part.is_done.iter().map(|done| i32::from(*done)).collect(),
+        states: part.states.iter().map(|k| number(*k)).collect(),
+        index: targets.rows.iter().map(|k| number(*k)).collect(),
+        block: part.block_of.iter().map(|k| number(*k)).collect(),
+        sheet: targets.of_given.iter().map(|t| of_answer(*t)).collect(),
+        entry_sheet: entries.collect(),
+        seams: part.seams.iter().flat_map(Seam::to_numbers).collect(),
+    }
+}

@@ -1,0 +1,327 @@
+//! Rows of groups, read and written as they come, whatever there are in all.
+
+use crate::hdf5::{GroupWriter, OutputError, Values};
+use crate::result::{StoredColumn, StoredError, StoredGroup};
+use crate::schema;
+
+/// Numbers of a column.
+#[derive(Clone, Debug)]
+pub enum Column {
+    Reals(Vec<f64>),
+    Wholes(Vec<i32>),
+}
+
+impl Column {
+    fn clear(&mut self) {
+        match self {
+            Self::Reals(numbers) => numbers.clear(),
+            Self::Wholes(numbers) => numbers.clear(),
+        }
+    }
+
+    pub fn values(&self) -> Values<'_> {
+        match self {
+            Self::Reals(numbers) => Values::F64(numbers),
+            Self::Wholes(numbers) => Values::I32(numbers),
+        }
+    }
+}
+
+/// The variables that the files of one whole have in a group, and how many numbers a row has of each.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    pub names: Vec<&'static str>,
+    pub widths: Vec<usize>,
+    whole: Vec<bool>,
+}
+
+impl Layout {
+    /// Those of a group as a file has it; all are by row.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub fn of(group: &StoredGroup<'_>, own: &'static schema::Group) -> Result<Self, StoredError> {
+        let names: Vec<&'static str> = (own.variables.iter())
+            .map(|v| v.name)
+            .filter(|name| group.has(name))
+            .collect();
+        let mut this = Self {
+            names,
+            widths: Vec::new(),
+            whole: Vec::new(),
+        };
+        for name in &this.names {
+            let column = group.column(name)?;
+            this.widths.push(column.width());
+            this.whole.push(column.whole);
+        }
+        Ok(this)
+    }
+
+    /// The place of a variable.
+    pub fn place(&self, name: &str) -> Option<usize> {
+        self.names.iter().position(|own| *own == name)
+    }
+
+    /// The variables that another group has too, and their places here.
+    pub fn part_of(&self, other: &schema::Group) -> (Self, Vec<usize>) {
+        let has = |name: &str| other.variables.iter().any(|v| v.name == name);
+        let places: Vec<usize> = (0..self.names.len())
+            .filter(|k| has(self.names[*k]))
+            .collect();
+        let part = Self {
+            names: places.iter().map(|k| self.names[*k]).collect(),
+            widths: places.iter().map(|k| self.widths[*k]).collect(),
+            whole: places.iter().map(|k| self.whole[*k]).collect(),
+        };
+        (part, places)
+    }
+
+    fn empty(&self) -> Vec<Column> {
+        (self.whole.iter())
+            .map(|whole| match whole {
+                true => Column::Wholes(Vec::new()),
+                false => Column::Reals(Vec::new()),
+            })
+            .collect()
+    }
+}
+
+/// The rows of a group, read one after the other.
+pub struct Rows {
+    columns: Vec<StoredColumn>,
+    window: Vec<Column>,
+    /// How many are read at once, and in all.
+    at_once: usize,
+    pub count: usize,
+    /// Those in memory, and the present one.
+    first: usize,
+    last: usize,
+    pub at: usize,
+}
+
+impl Rows {
+    /// # Errors
+    /// Where the group has not all variables of the layout, or some are shorter than others.
+    pub fn new(
+        group: &StoredGroup<'_>,
+        layout: &Layout,
+        at_once: usize,
+    ) -> Result<Self, StoredError> {
+        let columns = (layout.names.iter().zip(&layout.widths).zip(&layout.whole))
+            .map(|((name, width), whole)| {
+                let column = group.column(name)?;
+                match column.width() == *width && column.whole == *whole {
+                    true => Ok(column),
+                    false => Err(group.error(name, "not as the other files have it")),
+                }
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let count = columns.first().map_or(0, |c| c.rows);
+        for (column, name) in columns.iter().zip(&layout.names) {
+            if column.rows != count {
+                return Err(group.error(name, "not as long as the others of its group"));
+            }
+        }
+        Ok(Self {
+            window: layout.empty(),
+            columns,
+            at_once,
+            count,
+            first: 0,
+            last: 0,
+            at: 0,
+        })
+    }
+
+    /// Goes to the next row.
+    pub fn advance(&mut self) {
+        self.at += 1;
+    }
+
+    /// The present row in memory.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    fn here(&mut self) -> Result<usize, StoredError> {
+        if !(self.first..self.last).contains(&self.at) {
+            let count = self.at_once.min(self.count.saturating_sub(self.at));
+            for (column, to) in self.columns.iter().zip(&mut self.window) {
+                match to {
+                    Column::Reals(numbers) => *numbers = column.f64(self.at, count)?,
+                    Column::Wholes(numbers) => *numbers = column.i32(self.at, count)?,
+                }
+            }
+            (self.first, self.last) = (self.at, self.at + count);
+        }
+        Ok(self.at - self.first)
+    }
+
+    /// The present row's integer of a column; 0 where the column has none.
+    ///
+    /// # Errors
+    /// Where it cannot be read.
+    pub fn whole(&mut self, place: usize) -> Result<i32, StoredError> {
+        let here = self.here()?;
+        Ok(match &self.window[place] {
+            Column::Wholes(numbers) => numbers.get(here).copied().unwrap_or(0),
+            Column::Reals(_) => 0,
+        })
+    }
+
+    /// The present row's numbers of a column of reals.
+    ///
+    /// # Errors
+    /// Where they cannot be read.
+    pub fn reals(&mut self, place: usize) -> Result<&[f64], StoredError> {
+        let here = self.here()?;
+        let width = self.columns[place].width();
+        Ok(match &self.window[place] {
+            Column::Reals(numbers) => &numbers[here * width..(here + 1) * width],
+            Column::Wholes(_) => &[],
+        })
+    }
+
+    /// The present row's integers of a column.
+    ///
+    /// # Errors
+    /// Where they cannot be read.
+    pub fn wholes(&mut self, place: usize) -> Result<&[i32], StoredError> {
+        let here = self.here()?;
+        let width = self.columns[place].width();
+        Ok(match &self.window[place] {
+            Column::Wholes(numbers) => &numbers[here * width..(here + 1) * width],
+            Column::Reals(_) => &[],
+        })
+    }
+}
+
+/// Rows on their way into a group.
+pub struct Sink {
+    writer: GroupWriter,
+    layout: Layout,
+    columns: Vec<Column>,
+    rows: usize,
+    at_once: usize,
+    /// Of a grid how many nodes there are for each value of its first axis; rows are appended else.
+    slab: Option<usize>,
+    written: usize,
+}
+
+impl Sink {
+    /// Into rows that are appended, or nodes of a grid, so many at once.
+    pub fn new(writer: GroupWriter, layout: Layout, at_once: usize, slab: Option<usize>) -> Self {
+        Self {
+            columns: layout.empty(),
+            at_once: match slab {
+                Some(slab) => at_once.div_ceil(slab.max(1)) * slab.max(1),
+                None => at_once,
+            },
+            writer,
+            layout,
+            rows: 0,
+            slab,
+            written: 0,
+        }
+    }
+
+    /// Takes the present row of another group; of both the variables of this one's layout are at
+    /// these places.
+    ///
+    /// # Errors
+    /// Of reading.
+    pub fn take(&mut self, rows: &mut Rows, places: &[usize]) -> Result<(), StoredError> {
+        let here = rows.here()?;
+        for ((to, place), width) in self.columns.iter_mut().zip(places).zip(&self.layout.widths) {
+            let part = here * width..(here + 1) * width;
+            match (to, &rows.window[*place]) {
+                (Column::Reals(to), Column::Reals(from)) => to.extend_from_slice(&from[part]),
+                (Column::Wholes(to), Column::Wholes(from)) => to.extend_from_slice(&from[part]),
+                (Column::Reals(to), _) => to.extend(std::iter::repeat_n(f64::NAN, *width)),
+                (Column::Wholes(to), _) => to.extend(std::iter::repeat_n(0, *width)),
+            }
+        }
+        self.rows += 1;
+        Ok(())
+    }
+
+    /// A row of which nothing is known.
+    pub fn nothing(&mut self) {
+        for (to, width) in self.columns.iter_mut().zip(&self.layout.widths) {
+            match to {
+                Column::Reals(to) => to.extend(std::iter::repeat_n(f64::NAN, *width)),
+                Column::Wholes(to) => to.extend(std::iter::repeat_n(0, *width)),
+            }
+        }
+        self.rows += 1;
+    }
+
+    /// Puts integers in place of those of the last row.
+    pub fn set_wholes(&mut self, name: &str, value: i32) {
+        if let Some(place) = self.layout.place(name)
+            && let Column::Wholes(numbers) = &mut self.columns[place]
+        {
+            let width = self.layout.widths[place];
+            let from = numbers.len() - width;
+            numbers[from..].fill(value);
+        }
+    }
+
+    /// The same with real numbers.
+    pub fn set_reals(&mut self, name: &str, values: &[f64]) {
+        if let Some(place) = self.layout.place(name)
+            && let Column::Reals(numbers) = &mut self.columns[place]
+        {
+            let from = numbers.len() - values.len();
+            numbers[from..].copy_from_slice(values);
+        }
+    }
+
+    /// Puts NaN in place of real numbers of the last row.
+    pub fn forget(&mut self, name: &str) {
+        if let Some(place) = self.layout.place(name)
+            && let Column::Reals(numbers) = &mut self.columns[place]
+        {
+            let from = numbers.len() - self.layout.widths[place];
+            numbers[from..].fill(f64::NAN);
+        }
+    }
+
+    /// Writes what there is once it is enough.
+    ///
+    /// # Errors
+    /// Of writing.
+    pub fn flush_if_full(&mut self) -> Result<(), OutputError> {
+        match self.rows >= self.at_once {
+            true => self.flush(),
+            false => Ok(()),
+        }
+    }
+
+    /// Writes what there is.
+    ///
+    /// # Errors
+    /// Of writing.
+    pub fn flush(&mut self) -> Result<(), OutputError> {
+        match self.slab {
+            None => {
+                let block: Vec<(&str, Values<'_>)> = (self.layout.names.iter())
+                    .zip(&self.columns)
+                    .map(|(name, column)| (*name, column.values()))
+                    .collect();
+                self.writer.append(self.rows, &block)?;
+            }
+            Some(slab) if self.rows > 0 => {
+                let first = self.written / slab;
+                for (name, column) in self.layout.names.iter().zip(&self.columns) {
+                    self.writer.write_from(name, first, column.values())?;
+                }
+            }
+            Some(_) => {}
+        }
+        self.written += self.rows;
+        self.rows = 0;
+        self.columns.iter_mut().for_each(Column::clear);
+        Ok(())
+    }
+}

@@ -1,0 +1,55 @@
+//! What a shard's file has for `costate merge`, beside its results.
+
+use super::{Along, Group, Unit, along, integer, real};
+
+/// The blocks of states that a shard has solved for.
+pub static SHARD: Group = Group {
+    name: "shard",
+    title: "blocks of states that this part of the whole has, for costate merge",
+    dimensions: &[along("block", Along::Rows, "place in this file")],
+    variables: &[
+        integer("number", &["block"], "number among all blocks"),
+        integer("done", &["block"], "1 where it was searched to the end"),
+        integer("states", &["block"], "different states in it"),
+    ],
+    attributes: &[],
+};
+
+/// Where the rows of `/points` belong.
+pub static SHARD_POINTS: Group = Group {
+    name: "shard_points",
+    title: "where the rows of /points belong in the whole",
+    dimensions: &[along("point", Along::Rows, "row of /points")],
+    variables: &[
+        integer(
+            "index",
+            &["point"],
+            "number of the state among all that were asked for",
+        ),
+        integer("block", &["point"], "number of its block"),
+        integer("sheet", &["point"], "number of the sheet within the block"),
+    ],
+    attributes: &[],
+};
+
+/// The same of `/points_sheets`.
+pub static SHARD_SHEETS: Group = Group {
+    name: "shard_sheets",
+    title: "sheets of the rows of /points_sheets",
+    dimensions: &[along("entry", Along::Rows, "row of /points_sheets")],
+    variables: &[integer(
+        "sheet",
+        &["entry"],
+        "number of the sheet within the block",
+    )],
+    attributes: &[],
+};
+
+/// What joins blocks.
+pub static SHARD_SEAMS: Group = Group {
+    name: "shard_seams",
+    title: "solutions at the edges of blocks, by which merge joins sheets: numbers in an order of their own",
+    dimensions: &[along("number", Along::Rows, "place in the list")],
+    variables: &[real("value", &["number"], Unit::One, "a number")],
+    attributes: &[],
+};

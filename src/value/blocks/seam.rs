@@ -1,0 +1,209 @@
+//! What a block tells the others: its sheets, and the solutions at states whose neighbours may be of
+//! other blocks.
+
+use super::Block;
+use crate::shooting::{Path, Solved};
+use crate::sweep::Plan;
+use crate::value::fold::Fold;
+use crate::value::nearest;
+use crate::value::solve::{Answers, Entry, EqualCost, Request};
+use crate::value::targets::{Grid, Whole, neighbours_at_once};
+use std::collections::BTreeSet;
+
+/// A sheet of a block.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SheetOf {
+    /// Its least V, and the state there.
+    pub value: f64,
+    pub x: Vec<f64>,
+    /// Its number where copies by whole periods count as one.
+    pub lifted: i32,
+}
+
+/// A solution at a state next to other blocks.
+#[derive(Clone, Debug)]
+pub struct BorderEntry {
+    /// Within the block.
+    pub sheet: i32,
+    pub winding: Vec<i32>,
+    /// Only its first node where no way begins with it.
+    pub path: Path,
+    pub solved: Solved,
+}
+
+/// A state next to other blocks.
+#[derive(Clone, Debug)]
+pub struct BorderState {
+    pub x: Vec<f64>,
+    /// Its numbers among the states given.
+    pub rows: Vec<u32>,
+    /// V above which it is of no interest.
+    pub limit: f64,
+    /// By rising V.
+    pub entries: Vec<BorderEntry>,
+}
+
+/// What a block tells the others.
+#[derive(Clone, Debug)]
+pub struct Seam {
+    pub block: usize,
+    /// Whether nothing is to be joined to it: its sheets are too many, or the search was cut short.
+    pub is_closed: bool,
+    pub sheets: Vec<SheetOf>,
+    /// Pairs of sheets over one state, the lower one first: they are never one.
+    pub apart: Vec<[i32; 2]>,
+    pub border: Vec<BorderState>,
+    /// Points within the block where two sheets cost the same: `between` the lowest numbers of the
+    /// states given there.
+    pub crossings: Vec<EqualCost>,
+    /// Folds within the block.
+    pub folds: Vec<Fold>,
+    /// How many solutions it has.
+    pub solutions: usize,
+    /// Integrations of the search, and how long it took (s).
+    pub evaluations: u64,
+    pub seconds: f64,
+}
+
+impl Seam {
+    /// Of the numbered block.
+    pub(super) fn of(
+        plan: &Plan,
+        (number, block): (usize, &Block),
+        whole: &Whole<'_>,
+        grids: &[Grid],
+        answers: &Answers,
+        request: &Request,
+    ) -> Self {
+        let targets = &answers.targets;
+        let mut sheets: Vec<Option<SheetOf>> = vec![None; answers.sheets];
+        let mut apart: BTreeSet<[i32; 2]> = BTreeSet::new();
+        for target in 0..targets.len() {
+            let here = answers.of(target);
+            for (k, entry) in here.iter().enumerate() {
+                let known = &mut sheets[entry.sheet as usize];
+                // Targets come by rising state.
+                if known.as_ref().is_none_or(|known| entry.value < known.value) {
+                    *known = Some(SheetOf {
+                        value: entry.value,
+                        x: targets.state(target).to_vec(),
+                        lifted: entry.lifted,
+                    });
+                }
+                for other in &here[k + 1..] {
+                    if other.winding == entry.winding && other.sheet != entry.sheet {
+                        let pair = [entry.sheet, other.sheet];
+                        apart.insert([
+                            *pair.iter().min().unwrap_or(&0),
+                            *pair.iter().max().unwrap_or(&0),
+                        ]);
+                    }
+                }
+            }
+        }
+
+        let is_border = border(plan, block, whole, grids);
+        // Ways between single states are followed from the cheapest alone, where two cost the same.
+        let follows = !request.one_sheet && !plan.game;
+        let state = |local: usize| BorderState {
+            x: targets.state(local).to_vec(),
+            rows: whole.rows(block.members[local]).to_vec(),
+            limit: targets.limits[local],
+            entries: (answers.of(local).iter().enumerate())
+                .map(|(k, entry)| {
+                    BorderEntry::of(entry, follows && (k == 0 || targets.gridded[local]))
+                })
+                .collect(),
+        };
+        Self {
+            block: number,
+            is_closed: answers.is_crowded || answers.stopped,
+            sheets: sheets.into_iter().flatten().collect(),
+            apart: apart.into_iter().collect(),
+            border: (0..targets.len())
+                .filter(|local| is_border[*local] && !answers.of(*local).is_empty())
+                .map(state)
+                .collect(),
+            crossings: (answers.equal_cost.iter())
+                .map(|one| {
+                    let row = |t: usize| whole.rows(block.members[t])[0] as usize;
+                    let (a, b) = one.point.between;
+                    let mut one = one.clone();
+                    one.point.between = (row(a).min(row(b)), row(a).max(row(b)));
+                    (one.point.line, one.point.place) = (-1, -1);
+                    one
+                })
+                .collect(),
+            folds: answers.folds.clone(),
+            solutions: answers.entries.len(),
+            evaluations: answers.evaluations,
+            seconds: answers.seconds,
+        }
+    }
+}
+
+impl BorderEntry {
+    fn of(entry: &Entry, whole: bool) -> Self {
+        Self {
+            sheet: entry.sheet,
+            winding: entry.winding.clone(),
+            path: match whole {
+                true => entry.path.clone(),
+                false => Path::new(entry.path.node(0)),
+            },
+            solved: Solved {
+                value: entry.value,
+                slope: entry.slope.clone(),
+                fold: entry.fold,
+                residual: entry.residual,
+                t: 0.0,
+            },
+        }
+    }
+}
+
+/// Whether each state of a block may have neighbours in others: of a grid it has, along an axis; of
+/// single ones those nearest to it within the block are further than another block.
+fn border(plan: &Plan, block: &Block, whole: &Whole<'_>, grids: &[Grid]) -> Vec<bool> {
+    let (n, count) = (plan.system.states, block.members.len());
+    let mut is_border = vec![false; count];
+    let is_here = |row: usize| block.members.binary_search(&whole.target(row)).is_ok();
+    let mut first = 0;
+    for grid in grids {
+        for (local, &target) in block.members.iter().enumerate() {
+            let rows = whole.rows(target).iter().map(|row| *row as usize);
+            let mut nodes = rows.filter(|row| (first..first + grid.len()).contains(row));
+            is_border[local] |=
+                nodes.any(|row| (grid.beside(row - first)).any(|other| !is_here(first + other)));
+        }
+        first += grid.len();
+    }
+    if whole.rows_on_grids() == whole.rows_in_all() {
+        return is_border;
+    }
+    let scaled: Vec<f64> = (block.members.iter())
+        .flat_map(|t| {
+            whole.x()[t * n..][..n]
+                .iter()
+                .zip(&plan.widths)
+                .map(|(x, w)| x / w)
+        })
+        .collect();
+    let tree = nearest::index(&scaled, n);
+    for (local, &target) in block.members.iter().enumerate() {
+        let place = &scaled[local * n..][..n];
+        let near = tree.near(place, f64::INFINITY, neighbours_at_once(n));
+        let reach = match near.len() < neighbours_at_once(n) {
+            true => f64::INFINITY,
+            false => near.last().map_or(f64::INFINITY, |(_, d)| *d),
+        };
+        let x = &whole.x()[target * n..][..n];
+        is_border[local] |= (0..n).any(|i| {
+            let to = |plane: f64| (x[i] - plane).abs() / plan.widths[i];
+            block.within[i]
+                .iter()
+                .any(|plane| plane.is_finite() && to(*plane) <= reach)
+        });
+    }
+    is_border
+}
