@@ -84,11 +84,11 @@ pub fn join(
     if wanting.wanted.sheets && !plan.game {
         follow_ways(&mut survey, solver, wanting.wanted)?;
     }
-    let mut joined = parts.number(seams, &mut survey);
+    let mut joined = parts.number(seams, &mut survey, &border.reach);
     if wanting.equal_cost {
         let (mut points, more) = survey.crossings(solver, wanting.wanted)?;
         if more {
-            joined = parts.number(seams, &mut survey);
+            joined = parts.number(seams, &mut survey, &border.reach);
             points = survey.crossings(solver, wanting.wanted)?.0;
         }
         for point in &mut points {
@@ -108,6 +108,8 @@ struct Border {
     of: Vec<(usize, usize)>,
     /// Its lowest number among the states given.
     row: Vec<usize>,
+    /// How far its neighbours are at most.
+    reach: Vec<f64>,
 }
 
 impl Border {
@@ -161,7 +163,13 @@ impl Border {
         targets.edges.sort_unstable();
         targets.edges.dedup();
         let row = all().map(|s| s.rows[0] as usize).collect();
-        Self { targets, of, row }
+        let reach = all().map(|s| s.reach).collect();
+        Self {
+            targets,
+            of,
+            row,
+            reach,
+        }
     }
 }
 
@@ -214,7 +222,7 @@ impl Parts {
     }
 
     /// Numbers all sheets, by rising least V.
-    fn number(&self, seams: &[Seam], survey: &mut Survey<'_>) -> Joined {
+    fn number(&self, seams: &[Seam], survey: &mut Survey<'_>, reach: &[f64]) -> Joined {
         let mut groups = survey.joined.clone();
         let key_of = |groups: &mut Sheets, k: usize, s: usize| match self.member[k][s] {
             Some(e) => Part::Joined(groups.root(e)),
@@ -244,7 +252,7 @@ impl Parts {
             }
         }
         let mut groups = match survey.plan.periods.iter().any(Option::is_some) {
-            true => survey.with_copies(groups),
+            true => survey.with_copies(groups, reach),
             false => groups,
         };
         let mut key_of = |k: usize, lifted: i32| match of_copies.get(&(k, lifted)) {

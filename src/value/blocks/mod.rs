@@ -12,7 +12,7 @@ mod seam;
 mod solve;
 
 pub use join::{Joined, Wanting, join, lines};
-pub use seam::{BorderEntry, BorderState, Seam, SheetOf};
+pub use seam::{BorderEntry, BorderState, Bounds, Seam, SheetOf};
 pub use solve::{Blocks, Found, Sweep};
 
 use super::PointStatus;
@@ -36,6 +36,19 @@ pub struct Block {
     /// Where it was cut off from others, in the units of the states: `[least, largest]` of each,
     /// without bounds where there are no others.
     pub within: Vec<[f64; 2]>,
+}
+
+impl Block {
+    /// Where its states lie.
+    fn bounds(&self, x: &[f64], states: usize) -> Bounds {
+        let mut bounds = vec![[f64::INFINITY, f64::NEG_INFINITY]; states];
+        for member in &self.members {
+            for (bound, x) in bounds.iter_mut().zip(&x[member * states..][..states]) {
+                *bound = [bound[0].min(*x), bound[1].max(*x)];
+            }
+        }
+        bounds
+    }
 }
 
 /// States of a block at most.
@@ -116,17 +129,23 @@ pub struct Gathering<'g> {
     whole: &'g Whole<'g>,
     plan: &'g Plan,
     grids: &'g [Grid],
+    boxes: &'g [Bounds],
     blocks: Vec<(usize, Answers)>,
     members: Vec<&'g Block>,
     seams: Vec<Seam>,
 }
 
 impl<'g> Gathering<'g> {
-    pub fn new(whole: &'g Whole<'g>, plan: &'g Plan, grids: &'g [Grid]) -> Self {
+    pub fn new(
+        whole: &'g Whole<'g>,
+        plan: &'g Plan,
+        (grids, boxes): (&'g [Grid], &'g [Bounds]),
+    ) -> Self {
         Self {
             whole,
             plan,
             grids,
+            boxes,
             blocks: Vec::new(),
             members: Vec::new(),
             seams: Vec::new(),
@@ -135,14 +154,8 @@ impl<'g> Gathering<'g> {
 
     /// Adds what was found for a block.
     pub fn add(&mut self, number: usize, block: &'g Block, answers: Answers, request: &Request) {
-        let seam = Seam::of(
-            self.plan,
-            (number, block),
-            self.whole,
-            self.grids,
-            &answers,
-            request,
-        );
+        let of = (self.whole, self.boxes);
+        let seam = Seam::of(self.plan, (number, block), of, &answers, request);
         self.seams.push(seam);
         self.blocks.push((number, answers));
         self.members.push(block);

@@ -98,7 +98,7 @@ impl Seam {
             out.list(&state.x);
             out.count(state.rows.len());
             state.rows.iter().for_each(|row| out.whole(*row));
-            out.0.push(state.limit);
+            out.0.extend([state.limit, state.reach]);
             out.count(state.entries.len());
             for entry in &state.entries {
                 out.whole(entry.sheet);
@@ -166,6 +166,7 @@ impl Seam {
                 x: from.list()?,
                 rows: from.all(|from| u32::try_from(from.count()?).ok())?,
                 limit: from.real()?,
+                reach: from.real()?,
                 entries: from.all(entry)?,
             })
         })?;
@@ -279,6 +280,7 @@ mod tests {
             x: vec![-0.0],
             rows,
             limit: f64::INFINITY,
+            reach: 0.1,
             entries,
         };
         let sheet = |lifted| SheetOf {

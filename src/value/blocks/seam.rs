@@ -10,6 +10,13 @@ use crate::value::solve::{Answers, Entry, EqualCost, Request};
 use crate::value::targets::{Grid, Whole, neighbours_at_once};
 use std::collections::BTreeSet;
 
+/// Where the states of a block lie: least and largest along each axis.
+pub type Bounds = Vec<[f64; 2]>;
+
+/// States by which a block is compared with another one that is some periods away, and most periods.
+const OF_COPIES: usize = 16;
+const MOST_PERIODS: f64 = 16.0;
+
 /// A sheet of a block.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SheetOf {
@@ -39,6 +46,8 @@ pub struct BorderState {
     pub rows: Vec<u32>,
     /// V above which it is of no interest.
     pub limit: f64,
+    /// How far its neighbours are at most, in widths of the region.
+    pub reach: f64,
     /// By rising V.
     pub entries: Vec<BorderEntry>,
 }
@@ -70,8 +79,7 @@ impl Seam {
     pub(super) fn of(
         plan: &Plan,
         (number, block): (usize, &Block),
-        whole: &Whole<'_>,
-        grids: &[Grid],
+        (whole, boxes): (&Whole<'_>, &[Bounds]),
         answers: &Answers,
         request: &Request,
     ) -> Self {
@@ -102,13 +110,18 @@ impl Seam {
             }
         }
 
-        let is_border = border(plan, block, whole, grids);
+        let reach = reach(plan, block, whole);
+        let mut is_border = border(plan, block, (whole, &request.grids), &reach);
+        for local in beside_copies(plan, (number, block), (whole, boxes)) {
+            is_border[local] = true;
+        }
         // Ways between single states are followed from the cheapest alone, where two cost the same.
         let follows = !request.one_sheet && !plan.game;
         let state = |local: usize| BorderState {
             x: targets.state(local).to_vec(),
             rows: whole.rows(block.members[local]).to_vec(),
             limit: targets.limits[local],
+            reach: reach[local],
             entries: (answers.of(local).iter().enumerate())
                 .map(|(k, entry)| {
                     BorderEntry::of(entry, follows && (k == 0 || targets.gridded[local]))
@@ -164,7 +177,12 @@ impl BorderEntry {
 
 /// Whether each state of a block may have neighbours in others: of a grid it has, along an axis; of
 /// single ones those nearest to it within the block are further than another block.
-fn border(plan: &Plan, block: &Block, whole: &Whole<'_>, grids: &[Grid]) -> Vec<bool> {
+fn border(
+    plan: &Plan,
+    block: &Block,
+    (whole, grids): (&Whole<'_>, &[Grid]),
+    reach: &[f64],
+) -> Vec<bool> {
     let (n, count) = (plan.system.states, block.members.len());
     let mut is_border = vec![false; count];
     let is_here = |row: usize| block.members.binary_search(&whole.target(row)).is_ok();
@@ -181,29 +199,104 @@ fn border(plan: &Plan, block: &Block, whole: &Whole<'_>, grids: &[Grid]) -> Vec<
     if whole.rows_on_grids() == whole.rows_in_all() {
         return is_border;
     }
-    let scaled: Vec<f64> = (block.members.iter())
-        .flat_map(|t| {
-            whole.x()[t * n..][..n]
-                .iter()
-                .zip(&plan.widths)
-                .map(|(x, w)| x / w)
-        })
-        .collect();
-    let tree = nearest::index(&scaled, n);
     for (local, &target) in block.members.iter().enumerate() {
-        let place = &scaled[local * n..][..n];
-        let near = tree.near(place, f64::INFINITY, neighbours_at_once(n));
-        let reach = match near.len() < neighbours_at_once(n) {
-            true => f64::INFINITY,
-            false => near.last().map_or(f64::INFINITY, |(_, d)| *d),
-        };
         let x = &whole.x()[target * n..][..n];
         is_border[local] |= (0..n).any(|i| {
             let to = |plane: f64| (x[i] - plane).abs() / plan.widths[i];
-            block.within[i]
-                .iter()
-                .any(|plane| plane.is_finite() && to(*plane) <= reach)
+            let mut planes = block.within[i].iter().filter(|plane| plane.is_finite());
+            planes.any(|plane| to(*plane) <= reach[local])
         });
     }
     is_border
+}
+
+/// How far the neighbours of each state of a block are at most, in widths of the region; infinite
+/// where it has too few.
+fn reach(plan: &Plan, block: &Block, whole: &Whole<'_>) -> Vec<f64> {
+    let n = plan.system.states;
+    let scaled: Vec<f64> = (block.members.iter())
+        .flat_map(|t| {
+            let x = &whole.x()[t * n..][..n];
+            x.iter().zip(&plan.widths).map(|(x, w)| x / w)
+        })
+        .collect();
+    let tree = nearest::index(&scaled, n);
+    (scaled.chunks(n))
+        .map(|place| {
+            let near = tree.near(place, f64::INFINITY, neighbours_at_once(n));
+            match near.len() < neighbours_at_once(n) {
+                true => f64::INFINITY,
+                false => near.last().map_or(f64::INFINITY, |(_, d)| *d),
+            }
+        })
+        .collect()
+}
+
+/// Some states of a block that lie, some periods away, where states of another block do, or of its
+/// own: by them sheets are told from their copies.
+fn beside_copies(
+    plan: &Plan,
+    (number, block): (usize, &Block),
+    (whole, boxes): (&Whole<'_>, &[Bounds]),
+) -> BTreeSet<usize> {
+    let n = plan.system.states;
+    let mut found = BTreeSet::new();
+    if plan.periods.iter().all(Option::is_none) {
+        return found;
+    }
+    let own = &boxes[number];
+    for other in boxes {
+        for shift in shifts(plan, own, other) {
+            // The middle of what both have, where this block is.
+            let middle: Vec<f64> = (0..n)
+                .map(|i| {
+                    let [lo, hi] = [
+                        own[i][0].max(other[i][0] + shift[i]),
+                        own[i][1].min(other[i][1] + shift[i]),
+                    ];
+                    0.5 * (lo + hi)
+                })
+                .collect();
+            let far = |local: usize| -> f64 {
+                let x = &whole.x()[block.members[local] * n..][..n];
+                (0..n)
+                    .map(|i| ((x[i] - middle[i]) / plan.widths[i]).powi(2))
+                    .sum()
+            };
+            let mut near: Vec<(f64, usize)> = (0..block.members.len())
+                .map(|local| (far(local), local))
+                .collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            found.extend(near.iter().take(OF_COPIES).map(|(_, local)| *local));
+        }
+    }
+    found
+}
+
+/// Whole periods by which one box overlaps another, none left out.
+fn shifts(plan: &Plan, own: &Bounds, other: &Bounds) -> Vec<Vec<f64>> {
+    let mut all: Vec<Vec<f64>> = vec![Vec::new()];
+    for (i, (own, other)) in own.iter().zip(other).enumerate() {
+        let along: Vec<f64> = match plan.periods[i] {
+            None => vec![0.0],
+            Some(period) => {
+                let first = ((own[0] - other[1]) / period).ceil().max(-MOST_PERIODS);
+                let last = ((own[1] - other[0]) / period).floor().min(MOST_PERIODS);
+                (first as i64..=last as i64)
+                    .map(|k| k as f64 * period)
+                    .collect()
+            }
+        };
+        let overlaps = |shift: &f64| own[0] <= other[1] + shift && other[0] + shift <= own[1];
+        let along: Vec<f64> = along.into_iter().filter(overlaps).collect();
+        all = (all.iter())
+            .flat_map(|begun| {
+                along
+                    .iter()
+                    .map(|shift| [begun.as_slice(), &[*shift]].concat())
+            })
+            .collect();
+    }
+    all.retain(|shift| shift.iter().any(|s| *s != 0.0));
+    all
 }

@@ -1,6 +1,6 @@
 //! Solving for states block by block.
 
-use super::{Block, Gathering, Joined, Seam, Wanting, cut, join, size};
+use super::{Block, Bounds, Gathering, Joined, Seam, Wanting, cut, join, size};
 use crate::backend::cpu::Cpu;
 use crate::backend::{Backend, BackendError};
 use crate::model::Model;
@@ -16,6 +16,7 @@ pub struct Blocks<'r> {
     pub request: &'r Request,
     pub whole: Whole<'r>,
     pub blocks: Vec<Block>,
+    boxes: Vec<Bounds>,
 }
 
 /// What was found for some blocks.
@@ -40,8 +41,13 @@ impl<'r> Blocks<'r> {
         let states = plan.system.states;
         let whole = Whole::new(states, &request.grids, &request.limits, &request.points);
         let most = size(plan, backend.name() != "cpu");
+        let blocks = cut(whole.x(), states, &plan.widths, most);
+        let boxes = (blocks.iter())
+            .map(|block| block.bounds(whole.x(), states))
+            .collect();
         Self {
-            blocks: cut(whole.x(), states, &plan.widths, most),
+            blocks,
+            boxes,
             request,
             whole,
         }
@@ -68,7 +74,7 @@ impl<'r> Blocks<'r> {
         let common = Common::new(plan, model);
         let sweep = &mut sweep;
         let mut swept: Option<Archive> = None;
-        let mut gathering = Gathering::new(&self.whole, plan, &self.request.grids);
+        let mut gathering = Gathering::new(&self.whole, plan, (&self.request.grids, &self.boxes));
         let (mut before, count) = (0, self.count(own));
         for &number in own {
             let block = &self.blocks[number];

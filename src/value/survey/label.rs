@@ -114,7 +114,7 @@ impl Survey<'_> {
     pub(in crate::low_level::value) fn label(&mut self) {
         self.sheet = self.joined.numbers(&self.extremals);
         self.lifted = if self.plan.periods.iter().any(Option::is_some) {
-            self.with_copies(self.joined.clone())
+            self.with_copies(self.joined.clone(), &self.reach())
                 .numbers(&self.extremals)
         } else {
             self.sheet.clone()
@@ -124,7 +124,11 @@ impl Survey<'_> {
     /// The sheets with copies joined. A solution from a target with a winding is one from the state
     /// that many periods away: on the line, instead of the circle, what lies next to each other
     /// there may be one sheet.
-    pub(in crate::low_level::value) fn with_copies(&self, mut sheets: Sheets) -> Sheets {
+    pub(in crate::low_level::value) fn with_copies(
+        &self,
+        mut sheets: Sheets,
+        reach: &[f64],
+    ) -> Sheets {
         let mut at: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
         for (e, extremal) in self.extremals.iter().enumerate() {
             at.entry((extremal.target, extremal.winding))
@@ -137,7 +141,6 @@ impl Survey<'_> {
             .map(|(t, w)| self.scaled(&self.state(*t, *w)))
             .collect();
         let tree = nearest::index(&states.concat(), self.targets.states);
-        let reach = self.reach();
         let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
         for (k, (target, winding)) in places.iter().enumerate() {
             for (other, distance) in tree.near(&states[k], reach[*target], NEAR) {
