@@ -43,7 +43,7 @@ use crate::model::Model;
 use crate::result::{RunRecord, Stored, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::RunSummary;
-use crate::session::{Estimates, Finished, Kept, Outcome, Session, Wanted};
+use crate::session::{Estimates, Finished, Kept, Outcome, Pass, Resume, Session, Wanted};
 use crate::sweep::Plan;
 use crate::sweep::accuracy::Spread;
 use std::path::{Path, PathBuf};
@@ -119,14 +119,28 @@ impl Session<'_> {
         path: impl AsRef<Path>,
         provenance: &Provenance,
     ) -> Result<Done, RunError> {
-        let model = &self.scene().model;
         let pass = self.prepare(wanted)?;
+        if wanted.shard.is_some() || wanted.resume != Resume::Never {
+            return shard::run(self, wanted, (pass, path.as_ref()), provenance);
+        }
+        self.run_whole(wanted, pass, path.as_ref(), provenance)
+    }
+
+    /// The same of a pass of which nothing is kept before it is done.
+    fn run_whole(
+        &self,
+        wanted: &Wanted,
+        pass: Pass<'_>,
+        path: &Path,
+        provenance: &Provenance,
+    ) -> Result<Done, RunError> {
+        let model = &self.scene().model;
         if wanted.laws {
             laws::check(self.scene())?;
         }
         self.progress().begun(model, pass.plan(), self.backend());
 
-        let mut output = Output::begin(path.as_ref(), wanted.laws && laws::wanted(model))?;
+        let mut output = Output::begin(path, wanted.laws && laws::wanted(model))?;
 
         let schema = trajectory_schema(model, pass.plan());
         let swept = TrajectorySchema {
@@ -141,16 +155,7 @@ impl Session<'_> {
             None => Ok(()),
         })?;
         drop(writer);
-        match (&outcome.answers, &outcome.part) {
-            (Some(answers), Some(part)) if part.shard.is_some() => {
-                shard::write_states(&mut output.file, &schema, (answers, part))?;
-                write_sampled(&mut output.file, &outcome, &schema)?;
-                if let Some(manifest) = Manifest::of(self, wanted, &outcome, provenance) {
-                    shard::write_manifest(&output.file, &manifest)?;
-                }
-            }
-            _ => write_outcome(&mut output.file, &outcome, model, &schema)?,
-        }
+        write_outcome(&mut output.file, &outcome, model, &schema)?;
         if outcome.stopped {
             output.mark_stopped(self)?;
         }
@@ -307,9 +312,14 @@ fn in_json(summary: &RunSummary) -> String {
 /// `out/x_stopped.h5`.
 #[must_use]
 pub fn path_of_stopped(path: &Path) -> PathBuf {
-    if !path.exists() {
-        return path.to_owned();
+    match path.exists() {
+        true => stopped_beside(path),
+        false => path.to_owned(),
     }
+}
+
+/// That name beside the finished one's.
+fn stopped_beside(path: &Path) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
     name.push(STOPPED);
     if let Some(ending) = path.extension() {

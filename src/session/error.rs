@@ -31,6 +31,10 @@ pub enum SessionError {
         "nothing was swept: all {outside} seeds lie outside the guards (is the equilibrium too near their boundary for this seed_value?)"
     )]
     NothingSwept { outside: usize },
+    #[error(
+        "a map to an error is not divided into shards, but a grid is: leave --shard out, or [map] error"
+    )]
+    NotDivided,
     #[error("the scene has no [study]")]
     NoStudy,
     #[error("how long to simulate? Give [simulation] time = ..., or --time")]

@@ -25,11 +25,12 @@ pub use loops::{LoopOptions, Sources, same_problem};
 pub use mechanism::{
     ContactState, Identity, MechanismAt, MechanismState, MechanismSummary, PointState,
 };
-pub use pass::{Outcome, Part, Pass, sweep_and_write};
+pub(crate) use pass::StatesAsked;
+pub use pass::{Checkpoint, Outcome, Part, Pass, SoFar, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
 pub use shard::{Shard, ShardError};
 pub use simulation::{ControlledBy, Cycles, Simulated, SimulationOptions, end_name, some_states};
-pub use wanted::{Kept, Listed, States, Wanted};
+pub use wanted::{Kept, Listed, Resume, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};
 use crate::backend::cpu::Cpu;

@@ -14,9 +14,10 @@ use crate::scene::Scene;
 use crate::study::Variant;
 use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
-use crate::value::blocks::{Blocks, Seam};
+use crate::value::blocks::{Blocks, Found, Keeper, Seam};
 use crate::value::{self, Answers, Archive, Entry, PointStatus};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// A pass that is planned, and has not begun.
 pub struct Pass<'s> {
@@ -30,6 +31,20 @@ pub struct Pass<'s> {
     study: bool,
     grid_guesses: bool,
     shard: Option<Shard>,
+    /// Blocks that are not solved, since they were before.
+    done: Vec<usize>,
+    checkpoint: Option<Checkpoint<'s>>,
+}
+
+/// Keeps what is done by now.
+pub struct Checkpoint<'c> {
+    /// Writes it; what is wrong with that is told there, and the work goes on.
+    pub write: Box<dyn FnMut(&SoFar<'_>) + Send + 'c>,
+    /// Time between two, at least.
+    every: Duration,
+    /// When it was written last, or the work began, and how long that took.
+    last: Instant,
+    took: Duration,
 }
 
 /// What came of a pass.
@@ -149,7 +164,122 @@ impl Session<'_> {
             study: wanted.study && model.study.is_some(),
             grid_guesses: wanted.grid_guesses,
             shard: wanted.shard,
+            done: Vec::new(),
+            checkpoint: None,
         })
+    }
+}
+
+/// The states that a pass solves for.
+pub(crate) struct StatesAsked<'a> {
+    pub plan: &'a Plan,
+    pub targets: &'a Targets,
+    /// Blocks of them in all.
+    pub units: usize,
+}
+
+/// What is done of the states by now.
+pub struct SoFar<'a> {
+    pub(crate) plan: &'a Plan,
+    pub(crate) answers: &'a Answers,
+    pub(crate) part: &'a Part,
+}
+
+impl<'c> Checkpoint<'c> {
+    /// They take at most one part of so many of the time.
+    const SHARE: u32 = 20;
+
+    /// Writes by this, not sooner after the last time than so; the work begins now.
+    pub fn new(every: Duration, write: Box<dyn FnMut(&SoFar<'_>) + Send + 'c>) -> Self {
+        Self {
+            write,
+            every,
+            last: Instant::now(),
+            took: Duration::ZERO,
+        }
+    }
+}
+
+/// Keeps what is found of states.
+struct KeepStates<'k, 'c> {
+    checkpoint: Option<&'k mut Checkpoint<'c>>,
+    plan: &'k Plan,
+    shard: Option<Shard>,
+    rows: usize,
+    blocks: usize,
+}
+
+impl Keeper for KeepStates<'_, '_> {
+    fn is_due(&self) -> bool {
+        (self.checkpoint.as_ref()).is_some_and(|checkpoint| {
+            let pause = checkpoint.every.max(checkpoint.took * Checkpoint::SHARE);
+            checkpoint.last.elapsed() >= pause
+        })
+    }
+
+    fn keep(&mut self, own: &[usize], found: Found) {
+        let Some(checkpoint) = &mut self.checkpoint else {
+            return;
+        };
+        let begun = Instant::now();
+        let (part, answers) = Part::of(self.shard, (self.rows, self.blocks), own, found);
+        (checkpoint.write)(&SoFar {
+            plan: self.plan,
+            answers: &answers,
+            part: &part,
+        });
+        (checkpoint.last, checkpoint.took) = (Instant::now(), begun.elapsed());
+    }
+}
+
+impl Part {
+    /// What was found for some blocks, of so many states and blocks in all.
+    fn of(
+        shard: Option<Shard>,
+        (rows, blocks): (usize, usize),
+        own: &[usize],
+        found: Found,
+    ) -> (Self, Answers) {
+        let part = Self {
+            shard,
+            rows,
+            blocks,
+            own: own.to_vec(),
+            block_of: found.block_of,
+            sheet_within: found.sheet_within,
+            is_done: found.is_done,
+            states: found.states,
+            seams: found.seams,
+        };
+        (part, found.answers)
+    }
+}
+
+impl<'s> Pass<'s> {
+    /// Whether a map to an error is made.
+    pub(crate) fn maps(&self) -> bool {
+        self.aim.is_some()
+    }
+
+    /// The states that are solved for; `None` where there are none.
+    pub(crate) fn states(&self) -> Option<StatesAsked<'_>> {
+        let targets = self.targets.as_ref()?;
+        let blocks = Blocks::new(&self.plan, self.session.backend(), &targets.request);
+        Some(StatesAsked {
+            plan: &self.plan,
+            units: blocks.blocks.len(),
+            targets,
+        })
+    }
+
+    /// Leaves out blocks of states: they were solved before.
+    pub(crate) fn without(&mut self, done: Vec<usize>) {
+        self.done = done;
+    }
+
+    /// Keeps what is done, now and then.
+    pub(crate) fn keeping(&mut self, checkpoint: Checkpoint<'s>) {
+        self.checkpoint = Some(checkpoint);
     }
 }
 
@@ -181,6 +311,8 @@ impl Pass<'_> {
             study,
             grid_guesses,
             shard,
+            done,
+            mut checkpoint,
             ..
         } = self;
         let mut outcome = Outcome {
@@ -209,7 +341,8 @@ impl Pass<'_> {
         in_pool(|| {
             if let Some(archive) = &mut archive {
                 let asked = (direct, grid_guesses, shard);
-                session.solve_states(&mut outcome, archive, asked)?;
+                let work = (done.as_slice(), checkpoint.as_mut());
+                session.solve_states(&mut outcome, archive, asked, work)?;
             }
             if let (Some(aim), Some(archive)) = (aim, &archive) {
                 outcome.mapped = session.map_or_note(&outcome.plan, archive, aim)?;
@@ -240,6 +373,7 @@ impl Session<'_> {
         outcome: &mut Outcome,
         archive: &Archive,
         (direct, grid_guesses, shard): (bool, bool, Option<Shard>),
+        (done, checkpoint): (&[usize], Option<&mut Checkpoint<'_>>),
     ) -> Result<(), SessionError> {
         let plan = &outcome.plan;
         let Some(targets) = &mut outcome.targets else {
@@ -259,9 +393,18 @@ impl Session<'_> {
 
         let blocks = Blocks::new(plan, backend, &targets.request);
         let count = blocks.blocks.len();
-        let own = match shard {
+        let mut own = match shard {
             None => (0..count).collect(),
             Some(shard) => shard.own(count),
+        };
+        own.retain(|block| !done.contains(block));
+        let rows = blocks.whole.rows_in_all();
+        let mut keeper = KeepStates {
+            checkpoint,
+            plan,
+            shard,
+            rows,
+            blocks: count,
         };
         let mut swept = None;
         let mut sweep = |archive: &mut Archive| -> Result<(), SessionError> {
@@ -270,22 +413,19 @@ impl Session<'_> {
         };
         let guesses = (archive, direct.then_some(&mut sweep as _));
         let scene = (plan, &self.scene.model);
-        let found = blocks.solve(scene, &mut solver, backend, guesses, &own, &mut shown)?;
+        let found = blocks.solve(
+            scene,
+            &mut solver,
+            backend,
+            guesses,
+            (&own, &mut keeper),
+            &mut shown,
+        )?;
         if let Some(swept) = swept {
             outcome.swept = swept;
         }
-        outcome.part = Some(Part {
-            shard,
-            rows: blocks.whole.rows_in_all(),
-            blocks: count,
-            own,
-            block_of: found.block_of,
-            sheet_within: found.sheet_within,
-            is_done: found.is_done,
-            states: found.states,
-            seams: found.seams,
-        });
-        let answers = found.answers;
+        let (part, answers) = Part::of(shard, (rows, count), &own, found);
+        outcome.part = Some(part);
 
         let rows = &answers.targets.rows;
         let of_points = rows.partition_point(|row| *row < targets.points());
@@ -429,4 +569,4 @@ pub fn sweep_and_write<E: From<SessionError>>(
 /// Takes blocks of swept trajectories.
 pub type Write<'w, E> = &'w mut dyn FnMut(&TrajectoryBlock) -> Result<(), E>;
 
-crate::opaque!(Pass<'_>, Outcome, Part);
+crate::opaque!(Pass<'_>, Outcome, Part, Checkpoint<'_>, SoFar<'_>);

@@ -31,6 +31,21 @@ pub struct Wanted {
     pub grid_guesses: bool,
     /// Only this part of it. What is not divided, every shard does (the sweep for first guesses).
     pub shard: Option<Shard>,
+    /// Whether what is done is kept for a later run, and what an earlier one has kept is used.
+    pub resume: Resume,
+}
+
+/// Whether work that is ended can be gone on with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Resume {
+    /// No.
+    #[default]
+    Never,
+    /// What is done is kept for a later run as the work goes on, after so many seconds each time (60
+    /// is usual). An earlier run counts for nothing.
+    Later(u32),
+    /// The same; what an earlier run has kept is not done again.
+    Now(u32),
 }
 
 /// What is kept of swept trajectories.
@@ -87,6 +102,7 @@ impl Wanted {
             laws: true,
             grid_guesses: false,
             shard: None,
+            resume: Resume::Never,
         }
     }
 

@@ -135,7 +135,7 @@ impl Evidence {
 }
 
 /// What was found.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Answers {
     /// Whether H is `min max`, and the cheapest of several sheets is not the answer (see
     /// [`Self::answer`]).
@@ -143,6 +143,8 @@ pub struct Answers {
     /// Whether the search was ended before it was done: then nothing shows that an answer is the
     /// least.
     pub stopped: bool,
+    /// Whether that of each target was; without any, of none.
+    pub cut: Vec<bool>,
     /// Of a game with an equilibrium the entry at each target on the sheet of the equilibrium.
     pub principal: Option<Vec<Option<usize>>>,
     pub targets: Targets,
@@ -261,12 +263,17 @@ impl Answers {
         })
     }
 
+    /// Whether the search for a target's solutions was ended before it was done.
+    fn is_cut(&self, target: usize) -> bool {
+        self.cut.get(target).copied().unwrap_or(false)
+    }
+
     /// What supports that the answer at a target is the least, in a word.
     pub fn evidence(&self, target: usize) -> Evidence {
         let support = &self.support[target];
         match self.answer(target) {
             None => Evidence::None,
-            Some(_) if self.game || self.stopped => Evidence::None,
+            Some(_) if self.game || self.is_cut(target) => Evidence::None,
             Some(_) if support.bound.is_some() => Evidence::Undercut,
             Some(answer) if answer.value <= support.covered_to => Evidence::Covered,
             Some(_) => Evidence::NotUndercut,
@@ -575,6 +582,10 @@ fn solve_here(
     Ok(Answers {
         game: plan.game,
         stopped: survey.stopped,
+        cut: match survey.stopped {
+            true => vec![true; targets.len()],
+            false => Vec::new(),
+        },
         is_crowded: survey.is_crowded,
         principal: (!survey.principal.is_empty()).then_some(found.principal),
         sheets: count(&survey.sheet),

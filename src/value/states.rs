@@ -2,7 +2,8 @@
 //! the solutions.
 
 use super::{
-    Answers, Archive, Progress, Request, blocks::Blocks, for_guesses, goes_without_sweep, solver,
+    Answers, Archive, Progress, Request, blocks::Blocks, blocks::NoKeeper, for_guesses,
+    goes_without_sweep, solver,
 };
 use crate::backend::{Backend, BackendError};
 use crate::hamiltonian::Hamiltonian;
@@ -77,7 +78,7 @@ pub fn solve_states_folding(
         &mut solver,
         backend,
         (&archive, direct.then_some(&mut sweep as _)),
-        &all,
+        (&all, &mut NoKeeper),
         progress,
     )?;
     drop(blocks);

@@ -28,6 +28,7 @@ mod published;
 mod refusals;
 mod report;
 mod reserved;
+mod shards;
 mod simulate;
 mod solve;
 

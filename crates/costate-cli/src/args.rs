@@ -244,6 +244,14 @@ pub struct ShardArgs {
     /// and _MIN; else all]
     #[arg(long, value_name = "M/N", value_parser = shard)]
     pub shard: Option<ShardChoice>,
+    /// Go on with what an earlier run of the same command has left that was ended before it was
+    /// done: what it had solved for is not done again.
+    #[arg(long)]
+    pub resume: bool,
+    /// What is done is kept after so many seconds, and again each time that so many have passed: a
+    /// run that is killed loses no more.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub checkpoint: u32,
 }
 
 /// A part of the work, or all of it.

@@ -3,8 +3,7 @@
 use super::super::Provenance;
 use crate::model::Model;
 use crate::result::Stored;
-use crate::session::{Outcome, Part, Session, States, Wanted};
-use crate::sweep::Plan;
+use crate::session::{Session, Shard, States, StatesAsked, Wanted};
 use serde::{Deserialize, Serialize};
 
 /// What was asked for, beside the scene.
@@ -56,55 +55,40 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// Of the part that a pass has made; `None` where it solved for no states.
+    /// Of a part of the states that a session solves for.
     pub(in crate::run) fn of(
         session: &Session<'_>,
         wanted: &Wanted,
-        outcome: &Outcome,
+        states: &StatesAsked<'_>,
         provenance: &Provenance,
-    ) -> Option<Self> {
-        let (part, targets) = (outcome.part.as_ref()?, outcome.targets.as_ref()?);
-        let model = &session.scene().model;
+    ) -> Self {
+        let StatesAsked {
+            plan,
+            targets,
+            units,
+        } = states;
         let (one_sheet, samples) = match &wanted.states {
             States::Listed(listed) => (listed.one_sheet, listed.samples),
             _ => (false, None),
         };
-        let asked = Asked {
-            listed: targets.listed,
-            of_map: wanted.states == States::OfMap,
-            one_sheet,
-            samples,
-            grid_guesses: wanted.grid_guesses,
-            rows: part.rows,
-            points: targets.points(),
-            states: hash_of(targets.all().iter().flat_map(|x| x.to_bits().to_le_bytes())),
-        };
-        Some(Self::made(
-            session,
-            &outcome.plan,
-            part,
-            asked,
-            provenance,
-            model,
-        ))
-    }
-
-    fn made(
-        session: &Session<'_>,
-        plan: &Plan,
-        part: &Part,
-        asked: Asked,
-        provenance: &Provenance,
-        model: &Model,
-    ) -> Self {
+        let bits = targets.all();
         Self {
-            shard: part.shard.map_or(0, |shard| shard.number()),
-            shards: part.shard.map_or(1, |shard| shard.of()),
-            units: part.blocks,
+            shard: wanted.shard.map_or(0, Shard::number),
+            shards: wanted.shard.map_or(1, Shard::of),
+            units: *units,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             revision: provenance.git_revision.clone(),
-            scene: of_scene(model),
-            asked,
+            scene: of_scene(&session.scene().model),
+            asked: Asked {
+                listed: targets.listed,
+                of_map: wanted.states == States::OfMap,
+                one_sheet,
+                samples,
+                grid_guesses: wanted.grid_guesses,
+                rows: targets.count(),
+                points: targets.points(),
+                states: hash_of(bits.iter().flat_map(|x| x.to_bits().to_le_bytes())),
+            },
             backend: session.backend().name().to_owned(),
             precision: plan.spec.precision.name().to_owned(),
             method: plan.method().name().to_owned(),

@@ -6,7 +6,7 @@ use super::rows::{Layout, Rows, Sink};
 use crate::backend::cpu::{Cpu, in_pool};
 use crate::hdf5::ResultFile;
 use crate::model::Model;
-use crate::result::{RunRecord, Stored, StoredError, TrajectorySchema};
+use crate::result::{RunRecord, ShardGroups, Stored, StoredError, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::{Quantiles, RunSummary, SolvedErrors, SolvedSummary};
 use crate::session::{Progress, Session, SessionError, Wanted};
@@ -88,6 +88,16 @@ pub enum MergeError {
     Unfinished { path: PathBuf },
     #[error("{path}: /{group} is not as this program writes it", path = path.display())]
     Damaged { path: PathBuf, group: &'static str },
+    #[error(
+        "{path} cannot be gone on with: {what} was another ({then}, and now {now}); leave --resume out to begin anew",
+        path = path.display()
+    )]
+    Other {
+        path: PathBuf,
+        what: &'static str,
+        now: String,
+        then: String,
+    },
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
 }
@@ -110,9 +120,9 @@ fn listed(numbers: &[usize]) -> String {
 }
 
 /// A part, open.
-struct Source {
-    stored: Stored,
-    manifest: Manifest,
+pub(super) struct Source {
+    pub stored: Stored,
+    pub manifest: Manifest,
     /// Numbers of its blocks, whether each is done, and how many states it has.
     number: Vec<i32>,
     done: Vec<i32>,
@@ -120,7 +130,7 @@ struct Source {
 }
 
 impl Source {
-    fn open(path: &Path) -> Result<Self, RunError> {
+    pub fn open(path: &Path) -> Result<Self, RunError> {
         let stored = Stored::open(path)?;
         let no_part = || MergeError::NoPart {
             path: path.to_owned(),
@@ -148,6 +158,14 @@ impl Source {
     fn damaged(&self, group: &'static str) -> RunError {
         let path = self.path();
         MergeError::Damaged { path, group }.into()
+    }
+
+    /// The blocks that were searched to the end.
+    pub fn done(&self) -> impl Iterator<Item = usize> {
+        let blocks = self.number.iter().zip(&self.done);
+        blocks
+            .filter(|(_, done)| **done == 1)
+            .map(|(k, _)| (*k).max(0) as usize)
     }
 
     fn is_finished(&self) -> bool {
@@ -185,28 +203,69 @@ pub fn merge(
     let first = sources.first().ok_or(MergeError::Nothing)?;
     let (missing, unfinished) = check(&sources, out, options)?;
 
-    let scene = &first.stored.scene;
-    let session = Session::on(scene, Box::new(Cpu::new())).with_progress(progress);
-    let whole = Whole::new(&session, &sources)?;
+    let session = Session::on(&first.stored.scene, Box::new(Cpu::new())).with_progress(progress);
+    let gaps = (!missing.is_empty() || !unfinished.is_empty()).then_some((&*missing, &*unfinished));
+    let (path, summary) = assemble(&session, &sources, Into::Whole(gaps), out, provenance)?;
+    Ok(Merged {
+        files: sources.len(),
+        shards: first.manifest.shards,
+        path,
+        missing,
+        unfinished,
+        summary,
+        seconds: provenance.seconds(),
+    })
+}
+
+/// What parts are put together to.
+#[derive(Clone, Copy)]
+pub(super) enum Into<'a> {
+    /// The whole; with the shards that are missing and those that are not finished, if any are.
+    Whole(Option<(&'a [usize], &'a [usize])>),
+    /// A part; whether it is finished.
+    Part(&'a Manifest, bool),
+}
+
+/// Puts parts together, and in place.
+pub(super) fn assemble(
+    session: &Session<'_>,
+    sources: &[Source],
+    into: Into<'_>,
+    out: &Path,
+    provenance: &Provenance,
+) -> Result<(PathBuf, RunSummary), RunError> {
+    let progress = session.progress();
+    let whole = Whole::new(session, sources)?;
     progress.step("sheets of the parts are joined");
     let (plan, model, request, seams) = (&whole.plan, whole.model, &whole.request, &whole.seams);
-    let joined = in_pool(|| joined((plan, model), request, seams))?;
+    let is_part = matches!(into, Into::Part(..));
+    let joined = in_pool(|| joined((plan, model), request, seams, is_part))?;
     progress.step_ended();
 
     let mut file = ResultFile::create(out)?;
-    let counted = whole.write_rows(&mut file, &joined)?;
+    let mut groups = is_part.then(ShardGroups::default);
+    let counted = whole.write_rows(&mut file, &joined, groups.as_mut())?;
     let (edges, solutions) = whole.edges(&joined);
     file.sheet_edges(&whole.schema, &edges)?;
-
-    let is_whole = missing.is_empty() && unfinished.is_empty();
+    let is_whole = matches!(into, Into::Whole(None) | Into::Part(_, true));
     let summary = whole.summary(&joined, counted, (&edges, solutions), (!is_whole, out));
     file.attribute("summary", in_json(&summary))?;
     if !is_whole {
         file.attribute("stopped", 1i64)?;
-        file.attribute("shards_missing", listed(&missing))?;
-        file.attribute("shards_unfinished", listed(&unfinished))?;
     }
-    let record = |name: &str| first.stored.attribute(name).unwrap_or_default();
+    match into {
+        Into::Part(manifest, _) => {
+            let groups = groups.unwrap_or_default();
+            file.shard(&whole.groups(groups))?;
+            super::write_manifest(&file, manifest)?;
+        }
+        Into::Whole(None) => {}
+        Into::Whole(Some((missing, unfinished))) => {
+            file.attribute("shards_missing", listed(missing))?;
+            file.attribute("shards_unfinished", listed(unfinished))?;
+        }
+    }
+    let record = |name: &str| sources[0].stored.attribute(name).unwrap_or_default();
     RunRecord {
         backend: record("backend"),
         adapter: record("adapter"),
@@ -215,18 +274,10 @@ pub fn merge(
         rtol: summary.rtol,
         atol: summary.atol,
         wall_seconds: summary.wall_seconds,
-        ..provenance.record(&scene.model)
+        ..provenance.record(model)
     }
     .write(&file)?;
-    Ok(Merged {
-        files: sources.len(),
-        shards: first.manifest.shards,
-        path: file.finish()?,
-        missing,
-        unfinished,
-        summary,
-        seconds: provenance.seconds(),
-    })
+    Ok((file.finish()?, summary))
 }
 
 /// Whether parts are of one whole; the shards that are missing, and those that are not finished.
@@ -293,8 +344,11 @@ struct Whole<'s> {
     schema: TrajectorySchema,
     request: Request,
     map: bool,
-    /// All seams, by block; of each the file that it is from.
+    /// All seams, by block.
     seams: Vec<Seam>,
+    /// Of each block the part that it is taken from: one in which it was searched to the end, if
+    /// there is one.
+    from: BTreeMap<i32, usize>,
 }
 
 /// The sheets' numbers over all parts.
@@ -302,9 +356,13 @@ fn joined(
     (plan, model): (&Plan, &Model),
     request: &Request,
     seams: &[Seam],
+    is_part: bool,
 ) -> Result<Joined, SessionError> {
     let mut solver = value::solver(plan, &Cpu::new())?;
-    let wanting = Wanting::of(plan, model, request);
+    let wanting = match is_part {
+        false => Wanting::of(plan, model, request),
+        true => Wanting::of(plan, model, request).in_no_time(),
+    };
     Ok(join(plan, &mut solver, seams, &request.grids, wanting)?)
 }
 
@@ -320,9 +378,20 @@ impl<'s> Whole<'s> {
     fn new(session: &'s Session<'_>, sources: &'s [Source]) -> Result<Self, RunError> {
         let model = &session.scene().model;
         let manifest = &sources[0].manifest;
+        let mut from: BTreeMap<i32, (usize, i32)> = BTreeMap::new();
+        for (k, source) in sources.iter().enumerate() {
+            for (&block, &done) in source.number.iter().zip(&source.done) {
+                let known = from.entry(block).or_insert((k, done));
+                if done > known.1 {
+                    *known = (k, done);
+                }
+            }
+        }
+        let from: BTreeMap<i32, usize> = from.into_iter().map(|(b, (k, _))| (b, k)).collect();
         let mut seams = Vec::new();
-        for source in sources {
-            seams.extend(source.seams()?);
+        for (k, source) in sources.iter().enumerate() {
+            let own = source.seams()?.into_iter();
+            seams.extend(own.filter(|seam| from.get(&(seam.block as i32)) == Some(&k)));
         }
         seams.sort_by_key(|seam| seam.block);
         let asked = &manifest.asked;
@@ -358,6 +427,7 @@ impl<'s> Whole<'s> {
             request,
             map,
             seams,
+            from,
         })
     }
 
@@ -380,6 +450,27 @@ impl<'s> Whole<'s> {
         (all, solutions)
     }
 
+    /// The groups of a part that has these rows.
+    fn groups(&self, rows: ShardGroups) -> ShardGroups {
+        let of = |block: &i32, from: usize, column: fn(&Source) -> &[i32]| {
+            let source = &self.sources[from];
+            let place = source.number.iter().position(|own| own == block);
+            place.map_or(0, |k| column(source)[k])
+        };
+        let blocks = || self.from.iter();
+        ShardGroups {
+            number: blocks().map(|(block, _)| *block).collect(),
+            done: blocks()
+                .map(|(block, k)| of(block, *k, |s| &s.done))
+                .collect(),
+            states: blocks()
+                .map(|(block, k)| of(block, *k, |s| &s.states))
+                .collect(),
+            seams: self.seams.iter().flat_map(Seam::to_numbers).collect(),
+            ..rows
+        }
+    }
+
     /// How many rows of each file are held at once.
     fn at_once(&self) -> usize {
         (ROWS / self.sources.len()).clamp(LEAST_ROWS, MOST_ROWS)
@@ -390,48 +481,44 @@ impl<'s> Whole<'s> {
     }
 
     /// Writes `/points`, `/points_sheets`, `/map` and `/trajectories`, in the order in which states
-    /// were asked for.
-    fn write_rows(&self, file: &mut ResultFile, joined: &Joined) -> Result<Counted, RunError> {
+    /// were asked for. Of a part all states go to `/points`, and `part` is told of them.
+    fn write_rows(
+        &self,
+        file: &mut ResultFile,
+        joined: &Joined,
+        mut part: Option<&mut ShardGroups>,
+    ) -> Result<Counted, RunError> {
         let mut streams = (self.sources.iter())
             .map(|source| Stream::open(source, self.at_once()))
             .collect::<Result<Vec<_>, _>>()?;
-        let points = self.manifest.asked.points;
         let rows = self.manifest.asked.rows;
-        let mut sinks = Sinks::new(self, file, &streams)?;
-        let block_of: BTreeMap<i32, usize> = (self.seams.iter().enumerate())
+        let mut sinks = Sinks::new(self, file, &streams, part.is_some())?;
+        let seam_of: BTreeMap<i32, usize> = (self.seams.iter().enumerate())
             .map(|(k, seam)| (seam.block as i32, k))
             .collect();
+        let damaged = |k: usize| self.sources[k].damaged("shard_points");
 
         let mut heap = BinaryHeap::new();
         for (k, stream) in streams.iter_mut().enumerate() {
-            if let Some(index) = stream.index()? {
+            if let Some(index) = self.next_of(stream, k)? {
                 heap.push(Reverse((index, k)));
             }
         }
         let mut counted = Counted::default();
         let mut next = 0usize;
-        while next < rows {
-            let here = heap.peek().map(|Reverse((index, k))| (*index as usize, *k));
-            let Some((index, k)) = here.filter(|(index, _)| *index == next) else {
-                // Rows are numbered from 0 on, each once.
-                if let Some((index, k)) = here.filter(|(index, _)| *index < next) {
-                    let _ = index;
-                    return Err(self.sources[k].damaged("shard_points"));
-                }
-                sinks.nothing(self, next, points)?;
-                *(counted
-                    .status
-                    .entry(PointStatus::NotMerged.name().to_owned()))
-                .or_insert(0) += 1;
-                next += 1;
-                continue;
-            };
-            let _ = index;
-            heap.pop();
+        while let Some(Reverse((index, k))) = heap.pop() {
+            // Each state has one number, and each part has them in order.
+            let index = usize::try_from(index).map_err(|_| damaged(k))?;
+            if index < next || index >= rows {
+                return Err(damaged(k));
+            }
+            if part.is_none() {
+                self.nothing(&mut sinks, &mut counted, next..index)?;
+            }
+            next = index + 1;
             let stream = &mut streams[k];
             let block = stream.block()?;
-            let seam =
-                *(block_of.get(&block)).ok_or_else(|| self.sources[k].damaged("shard_points"))?;
+            let seam = *seam_of.get(&block).ok_or_else(|| damaged(k))?;
             let number = |of: &[Vec<i32>], sheet: i32| -> Option<i32> {
                 of[seam].get(usize::try_from(sheet).ok()?).copied()
             };
@@ -442,17 +529,57 @@ impl<'s> Whole<'s> {
                     number(&joined.lifted, sheet)?,
                 )),
             };
+            if let Some(part) = &mut part {
+                part.index.push(index as i32);
+                part.block.push(block);
+                part.sheet.push(stream.place.whole(2)?);
+            }
             sinks
-                .row(self, stream, (next, points), &numbers, &mut counted)?
-                .ok_or_else(|| self.sources[k].damaged("shard_points"))?;
+                .row(
+                    self,
+                    stream,
+                    index,
+                    &numbers,
+                    (&mut counted, part.as_deref_mut()),
+                )?
+                .ok_or_else(|| damaged(k))?;
             stream.advance();
-            if let Some(index) = stream.index()? {
+            if let Some(index) = self.next_of(stream, k)? {
                 heap.push(Reverse((index, k)));
             }
-            next += 1;
+        }
+        if part.is_none() {
+            self.nothing(&mut sinks, &mut counted, next..rows)?;
         }
         sinks.flush()?;
         Ok(counted)
+    }
+
+    /// The number of a part's next state that is taken from it; `None` where there is none.
+    fn next_of(&self, stream: &mut Stream, k: usize) -> Result<Option<i32>, RunError> {
+        while let Some(index) = stream.index()? {
+            let block = stream.block()?;
+            if self.from.get(&block) == Some(&k) {
+                return Ok(Some(index));
+            }
+            stream.skip()?;
+        }
+        Ok(None)
+    }
+
+    /// States that no part has.
+    fn nothing(
+        &self,
+        sinks: &mut Sinks,
+        counted: &mut Counted,
+        rows: std::ops::Range<usize>,
+    ) -> Result<(), RunError> {
+        for row in rows {
+            sinks.nothing(self, row)?;
+            let name = PointStatus::NotMerged.name().to_owned();
+            *counted.status.entry(name).or_insert(0) += 1;
+        }
+        Ok(())
     }
 
     fn summary(
@@ -469,7 +596,7 @@ impl<'s> Whole<'s> {
             .filter_map(|part| part.homotopy.as_ref()?.error_estimate.clone())
             .collect();
         let seconds: f64 = self.seams.iter().map(|s| s.seconds).sum();
-        let distinct: i32 = self.sources.iter().flat_map(|s| &s.states).sum();
+        let distinct: i32 = self.groups(ShardGroups::default()).states.iter().sum();
         let wall: f64 = parts.iter().map(|part| part.wall_seconds).sum();
         let met = parts.iter().map(|part| part.error_met);
         let met: Vec<Option<bool>> = met.collect();
@@ -493,7 +620,11 @@ impl<'s> Whole<'s> {
             false => parts.swap_remove(0),
         };
         RunSummary {
+            title: self.model.title.clone(),
             file: out.display().to_string(),
+            backend: self.manifest.backend.clone(),
+            precision: self.manifest.precision.clone(),
+            method: self.manifest.method.clone(),
             stopped,
             homotopy: Some(solved),
             wall_seconds: wall,
@@ -611,6 +742,26 @@ impl Stream {
             points.advance();
         }
     }
+
+    /// Passes over the present state with all that belongs to it.
+    fn skip(&mut self) -> Result<(), StoredError> {
+        if let (Some(points), Some(layout)) = (&mut self.points, &self.layouts.points) {
+            let place = |name: &str| layout.place(name).unwrap_or(usize::MAX);
+            let count = points.whole(place("sheets"))?;
+            let value = points.reals(place("V"))?[0];
+            if let Some((solutions, sheets)) = &mut self.solutions {
+                (0..count).for_each(|_| {
+                    solutions.advance();
+                    sheets.advance();
+                });
+            }
+            if let Some(trajectories) = self.trajectories.as_mut().filter(|_| value.is_finite()) {
+                trajectories.advance();
+            }
+        }
+        self.advance();
+        Ok(())
+    }
 }
 
 /// The groups of the whole on their way.
@@ -621,10 +772,17 @@ struct Sinks {
     trajectories: Option<Sink>,
     value_max: Option<f64>,
     names: Layouts,
+    /// States that go to `/points`: the first ones.
+    listed: usize,
 }
 
 impl Sinks {
-    fn new(whole: &Whole<'_>, file: &mut ResultFile, streams: &[Stream]) -> Result<Self, RunError> {
+    fn new(
+        whole: &Whole<'_>,
+        file: &mut ResultFile,
+        streams: &[Stream],
+        is_part: bool,
+    ) -> Result<Self, RunError> {
         let (schema, at_once) = (&whole.schema, MOST_ROWS);
         let any = |of: fn(&Layouts) -> &Option<Layout>| {
             streams.iter().find_map(|s| of(&s.layouts).clone())
@@ -634,7 +792,8 @@ impl Sinks {
             solutions: any(|l| &l.solutions),
             trajectories: any(|l| &l.trajectories),
         };
-        let count = whole.manifest.asked.points;
+        let asked = &whole.manifest.asked;
+        let count = if is_part { asked.rows } else { asked.points };
         let points = match &names.points {
             Some(layout) if count > 0 => {
                 let writer = file.points_later(schema, count)?;
@@ -649,7 +808,7 @@ impl Sinks {
             }
             _ => None,
         };
-        let map = match (whole.grid(), &names.points) {
+        let map = match (whole.grid().filter(|_| !is_part), &names.points) {
             (Some(grid), Some(of_points)) => {
                 let (layout, places) = of_points.part_of(&schema::MAP);
                 let slab = grid.len() / grid.axes[0].len();
@@ -677,12 +836,13 @@ impl Sinks {
             trajectories,
             value_max: of_map.and_then(|m| m.value_max),
             names,
+            listed: count,
         })
     }
 
     /// A state of a part that is missing.
-    fn nothing(&mut self, whole: &Whole<'_>, row: usize, points: usize) -> Result<(), RunError> {
-        let sink = match row < points {
+    fn nothing(&mut self, whole: &Whole<'_>, row: usize) -> Result<(), RunError> {
+        let sink = match row < self.listed {
             true => self.points.as_mut(),
             false => self.map.as_mut().map(|(sink, _)| sink),
         };
@@ -707,9 +867,9 @@ impl Sinks {
         &mut self,
         whole: &Whole<'_>,
         stream: &mut Stream,
-        (row, points): (usize, usize),
+        row: usize,
         numbers: &dyn Fn(i32) -> Option<(i32, i32)>,
-        counted: &mut Counted,
+        (counted, mut part): (&mut Counted, Option<&mut ShardGroups>),
     ) -> Result<Option<()>, RunError> {
         let (Some(rows), Some(layout)) = (&mut stream.points, &self.names.points) else {
             return Ok(None);
@@ -722,7 +882,7 @@ impl Sinks {
         let Some((sheet, lifted)) = numbers(stream.place.whole(2)?) else {
             return Ok(None);
         };
-        if row < points {
+        if row < self.listed {
             if let Some(sink) = &mut self.points {
                 let all: Vec<usize> = (0..layout.names.len()).collect();
                 sink.take(rows, &all)?;
@@ -780,12 +940,16 @@ impl Sinks {
                     .hamiltonian
                     .push(relative(&whole.plan, x, &winding, &p, h));
             }
-            if row < points
+            if row < self.listed
                 && let Some(sink) = &mut self.solutions
             {
                 let all: Vec<usize> = (0..layout.names.len()).collect();
                 sink.take(solutions, &all)?;
-                sink.set_wholes("point", row as i32);
+                let point = part.as_ref().map_or(row, |part| part.index.len() - 1);
+                if let Some(part) = &mut part {
+                    part.entry_sheet.push(of.whole(0)?);
+                }
+                sink.set_wholes("point", point as i32);
                 sink.set_wholes("sheet", sheet);
                 sink.set_wholes("lifted_sheet", lifted);
                 sink.flush_if_full()?;

@@ -2,10 +2,12 @@
 
 mod manifest;
 mod merge;
+mod part;
 mod rows;
 
 pub use manifest::{Asked, Manifest};
 pub use merge::{MergeError, MergeOptions, Merged, merge};
+pub(super) use part::run;
 
 use super::RunError;
 use crate::hdf5::ResultFile;

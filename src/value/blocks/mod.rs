@@ -13,7 +13,7 @@ mod solve;
 
 pub use join::{Joined, Wanting, join, lines};
 pub use seam::{BorderEntry, BorderState, Bounds, Seam, SheetOf};
-pub use solve::{Blocks, Found, Sweep};
+pub use solve::{Blocks, Found, Keeper, NoKeeper, Sweep};
 
 use super::PointStatus;
 use super::solve::{Answers, Request};
@@ -125,6 +125,7 @@ fn halves(block: Block, x: &[f64], widths: &[f64], most: usize) -> [Block; 2] {
 }
 
 /// What was found for each block, as one.
+#[derive(Clone)]
 pub struct Gathering<'g> {
     whole: &'g Whole<'g>,
     plan: &'g Plan,
@@ -204,6 +205,9 @@ impl<'g> Gathering<'g> {
             seconds: self.blocks.iter().map(|(_, a)| a.seconds).sum(),
             ..Answers::default()
         };
+        all.cut = (of.iter())
+            .map(|(_, k, _)| self.blocks[*k].1.stopped)
+            .collect();
         let is_done: Vec<bool> = self.blocks.iter().map(|(_, a)| !a.stopped).collect();
         let states: Vec<usize> = self.members.iter().map(|b| b.members.len()).collect();
         let mut principal = Vec::new();

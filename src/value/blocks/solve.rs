@@ -36,6 +36,26 @@ pub struct Found {
 /// A sweep for first guesses, made when a block first lacks them.
 pub type Sweep<'s, E> = &'s mut dyn FnMut(&mut Archive) -> Result<(), E>;
 
+/// What is found by now is kept, now and then.
+pub trait Keeper {
+    /// Whether it is time to.
+    fn is_due(&self) -> bool;
+
+    /// Keeps what was found for these blocks.
+    fn keep(&mut self, own: &[usize], found: Found);
+}
+
+/// Keeps nothing.
+pub struct NoKeeper;
+
+impl Keeper for NoKeeper {
+    fn is_due(&self) -> bool {
+        false
+    }
+
+    fn keep(&mut self, _own: &[usize], _found: Found) {}
+}
+
 impl<'r> Blocks<'r> {
     pub fn new(plan: &Plan, backend: &dyn Backend, request: &'r Request) -> Self {
         let states = plan.system.states;
@@ -68,7 +88,7 @@ impl<'r> Blocks<'r> {
         solver: &mut Solver,
         backend: &dyn Backend,
         (archive, mut sweep): (&Archive, Option<Sweep<'_, E>>),
-        own: &[usize],
+        (own, keeper): (&[usize], &mut dyn Keeper),
         progress: Progress<'_>,
     ) -> Result<Found, E> {
         let common = Common::new(plan, model);
@@ -76,7 +96,7 @@ impl<'r> Blocks<'r> {
         let mut swept: Option<Archive> = None;
         let mut gathering = Gathering::new(&self.whole, plan, (&self.request.grids, &self.boxes));
         let (mut before, count) = (0, self.count(own));
-        for &number in own {
+        for (done, &number) in own.iter().enumerate() {
             let block = &self.blocks[number];
             let part = || self.whole.part(&block.members, &plan.widths);
             let mut shown =
@@ -101,7 +121,14 @@ impl<'r> Blocks<'r> {
                     solve_targets(&common, solver, archive, (part(), self.request), &mut shown)?;
             }
             before += block.members.len();
+            let is_cut = found.stopped;
             gathering.add(number, block, found, self.request);
+            if !is_cut && done + 1 < own.len() && keeper.is_due() {
+                let so_far = gathering.clone();
+                let seams = so_far.seams();
+                let joined = self.joined((plan, model), solver, backend, seams, false)?;
+                keeper.keep(&own[..=done], so_far.finish(joined));
+            }
         }
         if let ([_], [_]) = (own, self.blocks.as_slice()) {
             return Ok(gathering.alone());
