@@ -17,6 +17,8 @@ pub struct ShardGroups {
     pub index: Vec<i32>,
     pub block: Vec<i32>,
     pub sheet: Vec<i32>,
+    /// 1 where an earlier row has the same state.
+    pub again: Vec<i32>,
     /// Of each row of `/points_sheets` its sheet within its block.
     pub entry_sheet: Vec<i32>,
     /// What joins blocks.
@@ -40,7 +42,8 @@ impl ResultFile {
         table
             .put("index", &groups.index)
             .put("block", &groups.block)
-            .put("sheet", &groups.sheet);
+            .put("sheet", &groups.sheet)
+            .put("again", &groups.again);
         table.write(self)?;
         let entries = groups.entry_sheet.len();
         let mut table = Table::new(&schema::SHARD_SHEETS, &NO_AXES).length("entry", entries);

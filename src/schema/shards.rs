@@ -28,6 +28,11 @@ pub static SHARD_POINTS: Group = Group {
         ),
         integer("block", &["point"], "number of its block"),
         integer("sheet", &["point"], "number of the sheet within the block"),
+        integer(
+            "again",
+            &["point"],
+            "1 where an earlier row has the same state",
+        ),
     ],
     attributes: &[],
 };

@@ -22,7 +22,9 @@ mod _engine {
     #[pymodule_export]
     use super::run_command;
     #[pymodule_export]
-    use super::runs::{attenuation, evaluate, fit, report, run, simulate, study};
+    use super::runs::{
+        attenuation, evaluate, fit, merge, report, run, shard_owner, simulate, study,
+    };
     #[pymodule_export]
     use super::scene::{Scene, scene_of_file};
     #[pymodule_export]

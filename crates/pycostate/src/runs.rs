@@ -9,12 +9,13 @@ use costate::low_level::hdf5::ResultFile;
 use costate::low_level::model::{Method, Report};
 use costate::low_level::result::{Stored, TrajectorySchema};
 use costate::run::{
-    LawFiles, Provenance, RunError, evaluate as evaluated, fit_stored, write_attenuation,
-    write_study,
+    LawFiles, MergeOptions, Provenance, RunError, evaluate as evaluated, fit_stored,
+    merge as put_together, write_attenuation, write_study,
 };
 use costate::session::summary::{AttenuationSummary, EvaluationSummary, study_rows};
 use costate::session::{
-    ControlledBy, Kept, Listed, LoopOptions, Session, SimulationOptions, States, Wanted,
+    ControlledBy, Kept, Listed, LoopOptions, Resume, Session, Shard, Silent, SimulationOptions,
+    States, Wanted,
 };
 use costate::{Choices, Precision, Weights};
 use costate_cli::{BackendChoice, CliError, provenance};
@@ -23,6 +24,9 @@ use pyo3::prelude::*;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 use std::sync::Arc;
+
+/// Seconds between two checkpoints of a shard.
+const CHECKPOINT: u32 = 60;
 
 /// Where and how exactly to compute, and who is told of it.
 #[derive(FromPyObject)]
@@ -152,10 +156,11 @@ fn written(py: Python<'_>, gone: Gone<Result<Made, CliError>>) -> PyResult<Writt
     }
 }
 
-/// `what`: `run`, `sweep`, `homotopy`, or `solve` for states `[state][component]`. `kept`: what is
-/// kept of swept trajectories.
+/// `what`: `run`, `sweep`, `homotopy`, `map`, or `solve` for states `[state][component]`. `kept`: what
+/// is kept of swept trajectories. `shard`: the number of a part, and of how many; what it has done is
+/// kept in `out` as it goes on, and what is there is not done again.
 #[pyfunction]
-#[pyo3(signature = (scene, what, out, how, x=None, *, one_sheet=false, samples=None, grid_guesses=false, kept="all"))]
+#[pyo3(signature = (scene, what, out, how, x=None, *, one_sheet=false, samples=None, grid_guesses=false, kept="all", shard=None))]
 #[allow(clippy::too_many_arguments, reason = "named, in Python")]
 pub fn run(
     py: Python<'_>,
@@ -168,11 +173,13 @@ pub fn run(
     samples: Option<usize>,
     grid_guesses: bool,
     kept: &str,
+    shard: Option<(usize, usize)>,
 ) -> PyResult<Written> {
     let mut wanted = match (what, x) {
         ("run", None) => Wanted::all(),
         ("sweep", None) => Wanted::sweep(),
         ("homotopy", None) => Wanted::homotopy(),
+        ("map", None) => Wanted::map(),
         ("solve", Some(x)) => Wanted {
             states: States::Listed(Listed {
                 x: x.as_slice()?.to_vec(),
@@ -184,6 +191,11 @@ pub fn run(
         _ => return Err(of_input(py, "what is to be run?")),
     };
     wanted.grid_guesses = grid_guesses;
+    if let Some((number, of)) = shard {
+        let shard = Shard::new(number, of);
+        wanted.shard = Some(shard.map_err(|e| of_input(py, &e.to_string()))?);
+        wanted.resume = Resume::Now(CHECKPOINT);
+    }
     wanted.kept = match kept {
         "all" => Kept::All,
         "values" => Kept::Values,
@@ -199,6 +211,30 @@ pub fn run(
         let summary = costate_cli::summary(&done, wanted.laws);
         Ok((done.path, summary, stopped))
     })
+}
+
+/// Puts parts together to the whole: its file, and the shards that are missing or unfinished.
+#[pyfunction]
+pub fn merge(
+    py: Python<'_>,
+    parts: Vec<PathBuf>,
+    out: PathBuf,
+    partial: bool,
+) -> PyResult<(PathBuf, Vec<usize>, Vec<usize>)> {
+    let merged = py.detach(|| {
+        let options = MergeOptions { partial };
+        put_together(&parts, &out, options, &provenance(), &Silent)
+    });
+    match merged {
+        Ok(merged) => Ok((merged.path, merged.missing, merged.unfinished)),
+        Err(error) => Err(raised(py, CliError::from(error))),
+    }
+}
+
+/// Which of `of` shards does each of so many units.
+#[pyfunction]
+pub fn shard_owner(units: usize, of: usize) -> Vec<usize> {
+    Shard::owner(units, of.max(1))
 }
 
 /// The scene's `[study]`.

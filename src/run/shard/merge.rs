@@ -533,6 +533,7 @@ impl<'s> Whole<'s> {
                 part.index.push(index as i32);
                 part.block.push(block);
                 part.sheet.push(stream.place.whole(2)?);
+                part.again.push(stream.place.whole(3)?);
             }
             sinks
                 .row(
@@ -922,13 +923,13 @@ impl Sinks {
                 return Ok(None);
             };
             let place = |name: &str| layout.place(name).unwrap_or(usize::MAX);
+            let is_counted = stream.place.whole(3)? == 0;
             let residual = solutions.reals(place("residual"))?[0];
             counted.residual = counted.residual.max(residual);
             let h = solutions.reals(place("H"))?[0].abs();
             let p = solutions.reals(place("p"))?.to_vec();
             let winding = solutions.wholes(place("winding"))?.to_vec();
-            let x = stream.points.as_mut();
-            if let Some(x) = x {
+            if let Some(x) = stream.points.as_mut().filter(|_| is_counted) {
                 let x = x.reals(
                     self.names
                         .points

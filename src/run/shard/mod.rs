@@ -62,7 +62,10 @@ fn groups(answers: &Answers, part: &Part) -> ShardGroups {
             .iter()
             .copied()
     });
+    let mut seen = vec![false; targets.len()];
+    let again = |t: &usize| i32::from(std::mem::replace(&mut seen[*t], true));
     ShardGroups {
+        again: targets.of_given.iter().map(again).collect(),
         number: part.own.iter().map(|k| number(*k)).collect(),
         done: part.is_done.iter().map(|done| i32::from(*done)).collect(),
         states: part.states.iter().map(|k| number(*k)).collect(),

@@ -235,6 +235,50 @@ def dataset(file: ResultFile, name: str):
     return _held(made, file)
 
 
+class _Later:
+    """An array of a result file that is read when it is wanted."""
+
+    def __init__(self, path, dataset):
+        self.path, self.name = str(path), dataset.name
+        self.shape, self.dtype, self.ndim = dataset.shape, dataset.dtype, dataset.ndim
+
+    def __getitem__(self, key):
+        import h5py
+
+        with h5py.File(self.path) as stored:
+            return stored[self.name][key]
+
+
+#: Numbers of an array from which on it is read later, and about as many of a piece.
+_LARGE, _PIECE = 4096, 1 << 20
+
+
+def lazy(file: ResultFile, name: str):
+    """The same as :func:`dataset`, with arrays of Dask that read the file when they are computed."""
+    import dask.array
+    import h5py
+    import xarray as xr
+
+    with h5py.File(file.path) as stored:
+        made = xr.Dataset(attrs={**_attributes(stored), **_attributes(stored[name])})
+        variables = {}
+        for key, item in stored[name].items():
+            if item.size < _LARGE or h5py.check_string_dtype(item.dtype) is not None:
+                variables[key] = _variable(item)
+                continue
+            inner = item.size // item.shape[0]
+            chunks = (max(1, _PIECE // max(inner, 1)), *item.shape[1:])
+            later = dask.array.from_array(_Later(file.path, item), chunks=chunks, asarray=True, name=False)
+            dims = [d[0].name.rsplit("/", 1)[-1] if len(d) else item.name.rsplit("/", 1)[-1] for d in item.dims]
+            variables[key] = xr.Variable(dims, later, _attributes(item))
+    dims = {d for v in variables.values() for d in v.dims}
+    coords = {k: v for k, v in variables.items() if k in dims or k.endswith(("_units", "_long_name"))}
+    for k in dims & set(coords):
+        coords[k] = coords[k].load()
+    made = made.assign({k: v for k, v in variables.items() if k not in coords}).assign_coords(coords)
+    return _held(made, file)
+
+
 def tree(file: ResultFile):
     """The whole file as an ``xarray.DataTree``."""
     import h5py

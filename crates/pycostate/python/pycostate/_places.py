@@ -181,7 +181,7 @@ class Places:
             if name == "point":
                 continue
             if variable.dims[:1] == ("point",):
-                values = variable.values.reshape(self.shape + variable.shape[1:])
+                values = variable.data.reshape(self.shape + variable.shape[1:])
                 variable = xr.Variable(dims + variable.dims[1:], values, variable.attrs)
             (coords if name in found.coords else variables)[name] = variable
         made = xr.Dataset(variables, coords, found.attrs)
