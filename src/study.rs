@@ -4,7 +4,7 @@ use crate::backend::{Backend, BackendError};
 use crate::diagnostics::ScenarioErrors;
 use crate::expr::Id;
 use crate::local::closed_loop_margin;
-use crate::model::{Extremum, Model, Record};
+use crate::model::{Extremum, Model, Record, Study};
 use crate::program::Program;
 use crate::scene::Scene;
 use crate::sweep::{Choices, Plan, PlanError};
@@ -58,32 +58,37 @@ pub struct Variant {
     pub trajectory: Option<TrajectoryBlock>,
 }
 
-/// All variants of the scene's `[study]`: every combination of the varied parameters' values, the
-/// last parameter's fastest. `progress` is told how many are done.
+/// The values of the varied parameters of each variant: every combination, the last parameter's
+/// fastest.
+pub fn combinations(asked: &Study) -> Vec<Vec<f64>> {
+    let axes = asked.vary.iter().map(|(_, values)| values.clone());
+    let grid = Grid {
+        axes: axes.collect(),
+    };
+    (0..grid.len()).map(|k| grid.point(k)).collect()
+}
+
+/// Some variants of the scene's `[study]`, by their numbers (see [`combinations`]). After each one
+/// `told` has those that are done.
 ///
 /// # Errors
 /// [`StudyError`].
 ///
 /// # Panics
-/// Without a `[study]`.
+/// Without a `[study]`, and where there is no variant of a number.
 pub fn study(
     scene: &Scene,
     backend: &dyn Backend,
     choices: Choices,
-    progress: &mut dyn FnMut(usize, usize),
+    own: &[usize],
+    told: &mut dyn FnMut(&[Variant]),
 ) -> Result<Vec<Variant>, StudyError> {
     let asked = scene.model.study.as_ref().expect("the scene has a [study]");
-    let axes: Vec<Vec<f64>> = asked
-        .vary
-        .iter()
-        .map(|(_, values)| values.clone())
-        .collect();
-    let count = axes.iter().map(Vec::len).product();
-    let combinations = Grid { axes }.points();
-    let mut all = Vec::with_capacity(count);
-    for k in 0..count {
-        progress(k, count);
-        let parameters = combinations[k * asked.vary.len()..][..asked.vary.len()].to_vec();
+    let combinations = combinations(asked);
+    let mut all = Vec::with_capacity(own.len());
+    told(&all);
+    for &k in own {
+        let parameters = combinations[k].clone();
         let set: Vec<(&str, f64)> = (asked.vary.iter().zip(&parameters))
             .map(|((name, _), value)| (name.as_str(), *value))
             .collect();
@@ -97,21 +102,36 @@ pub fn study(
             false => variant(scene, &set, &name, parameters.clone(), backend, choices),
         };
         all.push(match made {
-            Err(StudyError::Backend(BackendError::OutOfTime)) => Variant {
-                parameters,
-                x0: asked.from.clone(),
-                status: PointStatus::OutOfTime,
-                value: f64::NAN,
-                u: vec![f64::NAN; scene.model.controls.len()],
-                sheets: 0,
-                duration: f64::NAN,
-                records: vec![f64::NAN; asked.records.len()],
-                trajectory: None,
-            },
+            Err(StudyError::Backend(BackendError::OutOfTime)) => {
+                Variant::without(&scene.model, asked, parameters, PointStatus::OutOfTime)
+            }
             made => made?,
         });
+        told(&all);
     }
     Ok(all)
+}
+
+impl Variant {
+    /// One without an answer.
+    pub fn without(
+        model: &Model,
+        asked: &Study,
+        parameters: Vec<f64>,
+        status: PointStatus,
+    ) -> Self {
+        Self {
+            parameters,
+            x0: asked.from.clone(),
+            status,
+            value: f64::NAN,
+            u: vec![f64::NAN; model.controls.len()],
+            sheets: 0,
+            duration: f64::NAN,
+            records: vec![f64::NAN; asked.records.len()],
+            trajectory: None,
+        }
+    }
 }
 
 fn variant(

@@ -30,5 +30,6 @@ install=("$environment/bin/python" -m pip install --quiet --disable-pip-version-
 "${install[@]}" --constraint tests/requirements.txt "${wheel[0]}"
 # A newcomer's first line, with nothing else installed.
 (cd / && "$environment/bin/python" -c 'import pycostate; print(pycostate.__version__)')
-"${install[@]}" --constraint tests/requirements.txt "${wheel[0]}[pictures]" pytest h5netcdf fmpy==0.3.32 casadi==3.8.2 pdoc==16.0.0
+"${install[@]}" --constraint tests/requirements.txt "${wheel[0]}[pictures]" pytest h5netcdf fmpy==0.3.32 casadi==3.8.2 pdoc==16.0.0 \
+    "dask[distributed]==2026.8.0; python_version >= '3.11'" "dask[distributed]; python_version < '3.11'"
 MPLBACKEND=Agg "$environment/bin/python" -m pytest -q -p no:cacheprovider tests/python "$@"

@@ -1,6 +1,6 @@
 //! Parts of a scene in a result file.
 
-use super::{Provenance, RunError, in_json, note_replaced, path_of_stopped};
+use super::{Provenance, RunError, in_json};
 use crate::attenuation::Attenuated;
 use crate::hdf5::ResultFile;
 use crate::model::Model;
@@ -9,33 +9,30 @@ use crate::session::Session;
 use crate::session::summary::RunSummary;
 use crate::study::Variant;
 
-/// Writes the groups of a study that a session has made, and its summary. Returns whether the
-/// session was ended before: then the file says so, and has the name of an unfinished result.
+/// Writes the groups of a study and its summary, which is returned; of one that was ended before it was done the file
+/// says so.
 ///
 /// # Errors
 /// Those of writing.
-pub fn write_study(
+pub(super) fn write_study(
     session: &Session<'_>,
     file: &mut ResultFile,
-    variants: &[Variant],
+    (variants, stopped): (&[Variant], bool),
     provenance: &Provenance,
-) -> Result<bool, RunError> {
-    let stopped = session.is_over();
+) -> Result<RunSummary, RunError> {
     let model = &session.scene().model;
-    if let Some(asked) = &model.study {
+    if let (Some(asked), false) = (&model.study, variants.is_empty()) {
         file.study(&TrajectorySchema::axes(model), asked, variants)?;
     }
     if stopped {
         file.attribute("stopped", 1i64)?;
-        file.rename(path_of_stopped(file.path()));
-        note_replaced(session, file.path());
     }
     let summary = RunSummary {
         stopped,
         ..session.study_summary(variants, file.path(), provenance.seconds())
     };
     file.attribute("summary", in_json(&summary))?;
-    Ok(stopped)
+    Ok(summary)
 }
 
 /// Writes the groups of the smallest levels of attenuation.

@@ -350,19 +350,44 @@ impl<'s> Session<'s> {
     /// # Errors
     /// [`SessionError::NoStudy`]; what is wrong with a variant; device failures.
     pub fn study(&self) -> Result<Vec<Variant>, SessionError> {
-        if self.scene.model.study.is_none() {
-            return Err(SessionError::NoStudy);
-        }
         self.study_with(self.choices)
     }
 
     fn study_with(&self, choices: Choices) -> Result<Vec<Variant>, SessionError> {
+        let all = self.scene.model.study.as_ref().map(study::combinations);
+        let own: Vec<usize> = (0..all.map_or(0, |all| all.len())).collect();
+        self.variants(choices, &own, &mut |_| {})
+    }
+
+    /// Some variants of the scene's `[study]`, by their numbers; `told` has those that are done.
+    ///
+    /// # Errors
+    /// Those of [`study`](Self::study).
+    pub(crate) fn some_variants(
+        &self,
+        own: &[usize],
+        told: &mut (dyn FnMut(&[Variant]) + Send),
+    ) -> Result<Vec<Variant>, SessionError> {
+        self.variants(self.choices, own, told)
+    }
+
+    fn variants(
+        &self,
+        choices: Choices,
+        own: &[usize],
+        told: &mut (dyn FnMut(&[Variant]) + Send),
+    ) -> Result<Vec<Variant>, SessionError> {
+        if self.scene.model.study.is_none() {
+            return Err(SessionError::NoStudy);
+        }
         let step = self.step();
-        let mut shown =
-            |done: usize, of: usize| step.say(&format!("study: {done} of {of} variants"));
+        let mut shown = |done: &[Variant]| {
+            step.say(&format!("study: {} of {} variants", done.len(), own.len()));
+            told(done);
+        };
         let backend = self.backend.as_ref();
         Ok(in_pool(|| {
-            study::study(self.scene, backend, choices, &mut shown)
+            study::study(self.scene, backend, choices, own, &mut shown)
         })?)
     }
 

@@ -34,7 +34,7 @@ pub enum Command {
     /// result file is the least.
     CheckLeast(CheckLeastArgs),
     /// Only [study]: the optimal trajectory from one state for several values of parameters.
-    Study(RunArgs),
+    Study(DividedArgs),
     /// Only [attenuation]: the smallest level of attenuation, of the linearization and of a region,
     /// with pictures.
     Attenuation(RunArgs),

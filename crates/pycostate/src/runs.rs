@@ -10,7 +10,7 @@ use costate::low_level::model::{Method, Report};
 use costate::low_level::result::{Stored, TrajectorySchema};
 use costate::run::{
     LawFiles, MergeOptions, Provenance, RunError, evaluate as evaluated, fit_stored,
-    merge as put_together, write_attenuation, write_study,
+    merge as put_together, study as made_study, write_attenuation,
 };
 use costate::session::summary::{AttenuationSummary, EvaluationSummary, study_rows};
 use costate::session::{
@@ -241,15 +241,9 @@ pub fn shard_owner(units: usize, of: usize) -> Vec<usize> {
 #[pyfunction]
 pub fn study(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
     how.compute(py, scene, |session, provenance| {
-        let mut file = ResultFile::create(&out)?;
-        let variants = session.study()?;
-        let stopped = write_study(session, &mut file, &variants, provenance)?;
-        let path = session.finish(file, provenance)?;
-        Ok((
-            path,
-            json!(study_rows(&session.scene().model, &variants)),
-            stopped,
-        ))
+        let done = made_study(session, (None, Resume::Never), &out, provenance)?;
+        let rows = study_rows(&session.scene().model, &done.variants);
+        Ok((done.path, json!(rows), done.stopped))
     })
 }
 

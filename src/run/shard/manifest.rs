@@ -27,9 +27,22 @@ pub struct Asked {
     pub states: String,
 }
 
+/// What is divided.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// States that are solved for, in blocks.
+    #[default]
+    States,
+    /// Variants of a study.
+    Study,
+}
+
 /// What a file is a part of: those of one whole differ in `shard` alone.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
+    /// What is divided.
+    pub of: Kind,
     /// This part's number, from 0.
     pub shard: usize,
     /// How many parts there are.
@@ -73,6 +86,7 @@ impl Manifest {
         };
         let bits = targets.all();
         Self {
+            of: Kind::States,
             shard: wanted.shard.map_or(0, Shard::number),
             shards: wanted.shard.map_or(1, Shard::of),
             units: *units,
@@ -96,6 +110,35 @@ impl Manifest {
         }
     }
 
+    /// Of a part of the scene's study, of so many variants.
+    pub(in crate::run) fn of_study(
+        session: &Session<'_>,
+        shard: Option<Shard>,
+        variants: usize,
+        provenance: &Provenance,
+    ) -> Self {
+        let (model, choices) = (&session.scene().model, &session.choices);
+        let precision = choices.precision.or(model.integrator.precision);
+        let method = choices.method.or(model.integrator.method);
+        Self {
+            of: Kind::Study,
+            shard: shard.map_or(0, Shard::number),
+            shards: shard.map_or(1, Shard::of),
+            units: variants,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            revision: provenance.git_revision.clone(),
+            scene: of_scene(model),
+            asked: Asked {
+                rows: variants,
+                ..Asked::default()
+            },
+            backend: session.backend().name().to_owned(),
+            precision: precision.map_or("auto", |p| p.name()).to_owned(),
+            method: method.map_or("auto", |method| method.name()).to_owned(),
+            rtol: choices.rtol.unwrap_or(model.integrator.rtol),
+        }
+    }
+
     /// That of a file; `None` where it is no part of anything.
     #[must_use]
     pub fn read(stored: &Stored) -> Option<Self> {
@@ -113,13 +156,14 @@ impl Manifest {
     }
 
     /// What is the same in all parts, in words.
-    fn named(&self) -> [(&'static str, String); 10] {
+    fn named(&self) -> [(&'static str, String); 11] {
         let asked = &self.asked;
         let options = format!(
             "one solution a state: {}, points a trajectory: {:?}, guesses from a grid: {}",
             asked.one_sheet, asked.samples, asked.grid_guesses
         );
         [
+            ("kind of work", format!("{:?}", self.of).to_lowercase()),
             ("version of costate", self.version.clone()),
             ("commit that costate was built from", self.revision.clone()),
             ("scene (with --set)", self.scene.clone()),

@@ -1,8 +1,9 @@
 //! Parts put together to the whole.
 
 use super::super::{Provenance, RunError, in_json};
-use super::manifest::Manifest;
+use super::manifest::{Kind, Manifest};
 use super::rows::{Layout, Rows, Sink};
+use super::study;
 use crate::backend::cpu::{Cpu, in_pool};
 use crate::hdf5::ResultFile;
 use crate::model::Model;
@@ -155,12 +156,40 @@ impl Source {
         self.stored.path.clone()
     }
 
-    fn damaged(&self, group: &'static str) -> RunError {
+    pub fn damaged(&self, group: &'static str) -> RunError {
         let path = self.path();
         MergeError::Damaged { path, group }.into()
     }
 
-    /// The blocks that were searched to the end.
+    /// Whether it is a part of the same, and the same one.
+    ///
+    /// # Errors
+    /// [`MergeError::Other`] where it is not.
+    pub fn is_of(&self, manifest: &Manifest) -> Result<(), MergeError> {
+        let other = &self.manifest;
+        let differs = manifest.differs(other).or_else(|| {
+            let shard = |m: &Manifest| format!("{}/{}", m.shard, m.shards);
+            let (a, b) = (shard(manifest), shard(other));
+            (a != b).then_some(("shard", a, b))
+        });
+        let path = self.path();
+        match differs {
+            Some((what, now, then)) => Err(MergeError::Other {
+                path,
+                what,
+                now,
+                then,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// The numbers of its units.
+    pub fn numbers(&self) -> Vec<usize> {
+        self.number.iter().map(|k| (*k).max(0) as usize).collect()
+    }
+
+    /// The units that are done.
     pub fn done(&self) -> impl Iterator<Item = usize> {
         let blocks = self.number.iter().zip(&self.done);
         blocks
@@ -205,7 +234,15 @@ pub fn merge(
 
     let session = Session::on(&first.stored.scene, Box::new(Cpu::new())).with_progress(progress);
     let gaps = (!missing.is_empty() || !unfinished.is_empty()).then_some((&*missing, &*unfinished));
-    let (path, summary) = assemble(&session, &sources, Into::Whole(gaps), out, provenance)?;
+    let (path, summary) = match first.manifest.of {
+        Kind::States => assemble(&session, &sources, Into::Whole(gaps), out, provenance)?,
+        Kind::Study => {
+            let (file, summary) =
+                study::assemble(&session, &sources, (gaps.is_some(), out), provenance)?;
+            note_gaps(&file, gaps)?;
+            (session.finish(file, provenance)?, summary)
+        }
+    };
     Ok(Merged {
         files: sources.len(),
         shards: first.manifest.shards,
@@ -217,11 +254,22 @@ pub fn merge(
     })
 }
 
+/// Shards that are missing, and those that are not finished; `None` where there are none.
+type Gaps<'a> = Option<(&'a [usize], &'a [usize])>;
+
+fn note_gaps(file: &ResultFile, gaps: Gaps<'_>) -> Result<(), RunError> {
+    if let Some((missing, unfinished)) = gaps {
+        file.attribute("shards_missing", listed(missing))?;
+        file.attribute("shards_unfinished", listed(unfinished))?;
+    }
+    Ok(())
+}
+
 /// What parts are put together to.
 #[derive(Clone, Copy)]
 pub(super) enum Into<'a> {
-    /// The whole; with the shards that are missing and those that are not finished, if any are.
-    Whole(Option<(&'a [usize], &'a [usize])>),
+    /// The whole, and what is missing of it.
+    Whole(Gaps<'a>),
     /// A part; whether it is finished.
     Part(&'a Manifest, bool),
 }
@@ -259,11 +307,7 @@ pub(super) fn assemble(
             file.shard(&whole.groups(groups))?;
             super::write_manifest(&file, manifest)?;
         }
-        Into::Whole(None) => {}
-        Into::Whole(Some((missing, unfinished))) => {
-            file.attribute("shards_missing", listed(missing))?;
-            file.attribute("shards_unfinished", listed(unfinished))?;
-        }
+        Into::Whole(gaps) => note_gaps(&file, gaps)?,
     }
     let record = |name: &str| sources[0].stored.attribute(name).unwrap_or_default();
     RunRecord {

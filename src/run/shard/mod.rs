@@ -4,10 +4,12 @@ mod manifest;
 mod merge;
 mod part;
 mod rows;
+mod study;
 
-pub use manifest::{Asked, Manifest};
+pub use manifest::{Asked, Kind, Manifest};
 pub use merge::{MergeError, MergeOptions, Merged, merge};
 pub(super) use part::run;
+pub use study::{StudyDone, study};
 
 use super::RunError;
 use crate::hdf5::ResultFile;

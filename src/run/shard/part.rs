@@ -71,14 +71,10 @@ pub(in crate::run) fn run<'s>(
     }
     (session.progress()).begun(model, pass.plan(), session.backend());
     let done: Vec<usize> = before.iter().flat_map(Source::done).collect();
-    if let Resume::Now(_) = wanted.resume {
-        session.progress().note(&match done.len() {
-            0 => "nothing was done before".to_owned(),
-            some => format!(
-                "{some} blocks of states, of {} in all, were done before",
-                work.manifest.units
-            ),
-        });
+    if !done.is_empty() {
+        let (some, of) = (done.len(), work.manifest.units);
+        let note = format!("{some} blocks of states, of {of} in all, were done before");
+        session.progress().note(&note);
     }
     pass.without(done);
     let kept: Vec<PathBuf> = before
@@ -122,22 +118,7 @@ impl Work<'_> {
                 Err(RunError::Merge(MergeError::NoPart { .. })) => continue,
                 Err(error) => return Err(error),
             };
-            let other = &source.manifest;
-            let differs = self.manifest.differs(other).or_else(|| {
-                let shard = |m: &Manifest| format!("{}/{}", m.shard, m.shards);
-                let (a, b) = (shard(&self.manifest), shard(other));
-                (a != b).then_some(("shard", a, b))
-            });
-            if let Some((what, now, then)) = differs {
-                let path = path.clone();
-                return Err(MergeError::Other {
-                    path,
-                    what,
-                    now,
-                    then,
-                }
-                .into());
-            }
+            source.is_of(&self.manifest)?;
             found.push(source);
         }
         Ok(found)

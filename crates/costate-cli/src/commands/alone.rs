@@ -67,11 +67,16 @@ impl Alone {
         })
     }
 
-    /// The result file, with its hidden name.
-    pub fn create(&self, out: Option<&Path>, ending: &str) -> Result<ResultFile, CliError> {
+    /// Where the result goes; the scene's title is said.
+    pub fn path(&self, out: Option<&Path>, ending: &str) -> Result<PathBuf, CliError> {
         self.terminal.say(&self.scene.model.title)?;
         let own = || output_of(&self.path, ending);
-        Ok(ResultFile::create(out.map_or_else(own, Path::to_path_buf))?)
+        Ok(out.map_or_else(own, Path::to_path_buf))
+    }
+
+    /// The result file, with its hidden name.
+    pub fn create(&self, out: Option<&Path>, ending: &str) -> Result<ResultFile, CliError> {
+        Ok(ResultFile::create(self.path(out, ending)?)?)
     }
 
     pub fn session(&self, backend: Box<dyn Backend>) -> Session<'_> {

@@ -15,9 +15,7 @@ use costate::run::{Done, Provenance, note_replaced, output_of, output_of_points,
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
-use costate::session::{
-    Finished, Kept, Listed, Progress, Resume, Session, SessionError, States, Wanted,
-};
+use costate::session::{Finished, Kept, Listed, Progress, Session, SessionError, States, Wanted};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -49,10 +47,7 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
         if table && (wanted.shard.is_some() || part.resume) {
             return Err(ShardRefusal::Table.into());
         }
-        wanted.resume = match part.resume {
-            true => Resume::Now(part.checkpoint),
-            false => Resume::Later(part.checkpoint),
-        };
+        wanted.resume = shard::resume(part);
     }
     if wanted.kept != Kept::All && !(wanted.sweep && model.shoot_out.is_some()) {
         let option = match wanted.kept {

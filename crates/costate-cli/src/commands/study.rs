@@ -1,34 +1,44 @@
 //! `costate study`: the study alone.
 
 use super::alone::Alone;
-use crate::args::RunArgs;
+use crate::args::DividedArgs;
 use crate::common::ending::Ending;
-use crate::common::print_json;
-use crate::error::CliError;
+use crate::common::{print_json, shard};
+use crate::error::{CliError, GridRefusal};
 use crate::text;
-use costate::run::write_study;
+use costate::run::study as made;
 use costate::session::SessionError;
 use costate::session::summary::study_rows;
 
-pub fn study(args: &RunArgs) -> Result<(), CliError> {
-    let (begun, backend, mut file) = Alone::begin(args, "_study", |model| {
+pub fn study(args: &DividedArgs) -> Result<(), CliError> {
+    let DividedArgs { run, part } = args;
+    if run.grid_guesses {
+        return Err(GridRefusal::Nothing.into());
+    }
+    let scene = (&run.scene, &run.numerics, run.seed);
+    let begun = Alone::read(scene, run.out.as_deref(), |model| {
         model.study.as_ref().map(drop).ok_or(SessionError::NoStudy)
     })?;
     let (model, terminal) = (&begun.scene.model, &begun.terminal);
-    let ending = Ending::of(args, &begun.provenance);
+    let shard = shard::of(*part, terminal)?;
+    let path = begun.path(run.out.as_deref(), "_study")?;
+    let ending = Ending::of(run, &begun.provenance);
+    let backend = run.numerics.open(model)?;
     let session = begun.session(backend).until(ending.deadline);
-    let variants = session.study()?;
-    let stopped = write_study(&session, &mut file, &variants, &begun.provenance)?;
-    let path = begun.finish(&session, file)?;
+    let work = (shard, shard::resume(*part));
+    let done = made(&session, work, &path, &begun.provenance)?;
 
-    terminal.say(&text::study::table(model, &variants))?;
+    terminal.say(&text::study::table(model, &done.variants))?;
     let seconds = begun.provenance.seconds();
-    terminal.say(&format!("{seconds:.2} s, written to {}", path.display()))?;
-    if args.scene.print.json {
-        print_json(&study_rows(model, &variants))?;
+    terminal.say(&format!(
+        "{seconds:.2} s, written to {}",
+        done.path.display()
+    ))?;
+    if run.scene.print.json {
+        print_json(&study_rows(model, &done.variants))?;
     }
-    if stopped {
-        return Err(ending.stopped(path));
+    if done.stopped {
+        return Err(ending.stopped(done.path));
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use crate::args::{ShardArgs, ShardChoice};
 use crate::error::ShardRefusal;
 use crate::terminal::Terminal;
-use costate::session::{Progress, Shard};
+use costate::session::{Progress, Resume, Shard};
 use std::env::VarError;
 
 /// What Slurm tells the tasks of a job array.
@@ -30,6 +30,14 @@ pub fn of(args: ShardArgs, terminal: &Terminal) -> Result<Option<Shard>, ShardRe
             }
             Ok(shard)
         }
+    }
+}
+
+/// Whether what is done is kept, and what was done before is used.
+pub fn resume(args: ShardArgs) -> Resume {
+    match args.resume {
+        true => Resume::Now(args.checkpoint),
+        false => Resume::Later(args.checkpoint),
     }
 }
 

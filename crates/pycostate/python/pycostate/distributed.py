@@ -99,6 +99,8 @@ class _Lost(Exception):
 
 def _is_lost(error: BaseException) -> bool:
     """Whether a worker has failed, and not the work."""
+    if isinstance(error, CostateError):
+        return False
     if isinstance(error, (_Lost, ConnectionError, TimeoutError)):
         return True
     # The exceptions of Dask have no module of their own to be imported from in all versions.
@@ -202,7 +204,7 @@ def map(
             counts = [counts] * len(names)
         if len(counts) != len(names):
             raise InputError(f"counts = {counts!r}: one number, or one for each of {', '.join(names)}")
-        own["points"] = dict(zip(names, (_options.whole("counts", c, 1, 10_000_000) for c in counts)))
+        own["resolution"] = dict(zip(names, (_options.whole("counts", c, 1, 10_000_000) for c in counts)))
         problem = problem.having(map=own)
     asked = ("map", None, {})
     return _begun(problem, asked, numerics, client, (shards, folder, out, retries, wait), _map_of)
@@ -267,6 +269,8 @@ def _threads() -> None:
 def _part(problem, what, x, options, numerics, shard, folder):
     """A shard of states: its file's path, or what is in the file."""
     _threads()
+    # What came through the network may begin anywhere in memory.
+    x = None if x is None else np.require(x, float, ["C", "A"])
 
     def compute(path):
         with problem._how(numerics) as how:
@@ -294,6 +298,7 @@ def _whole(written) -> None:
 def _flights(problem, law, x, options):
     """Some flights: the groups of their result."""
     _threads()
+    x = np.require(x, float, ["C", "A"])
     made = problem.simulate(law, x, **{"progress": None, **options})
     groups = {node.path: node.to_dataset().load() for node in made.subtree}
     for group in groups.values():

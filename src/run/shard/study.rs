@@ -1,0 +1,317 @@
+//! Parts of a study: variants of it.
+
+use super::super::{
+    Provenance, RunError, note_replaced, path_of_stopped, stopped_beside, write_study,
+};
+use super::manifest::Manifest;
+use super::merge::{MergeError, Source};
+use super::write_manifest;
+use crate::files::{Draft, target};
+use crate::hdf5::ResultFile;
+use crate::model::{Model, Study};
+use crate::result::{ShardGroups, Stored, StoredError};
+use crate::schema;
+use crate::session::summary::RunSummary;
+use crate::session::{Resume, Session, SessionError, Shard};
+use crate::study::{Variant, combinations};
+use crate::trajectories::TrajectoryBlock;
+use crate::value::PointStatus;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// What came of it.
+pub struct StudyDone {
+    /// The variants that are in the file.
+    pub variants: Vec<Variant>,
+    /// Whether not all were done.
+    pub stopped: bool,
+    /// The file.
+    pub path: PathBuf,
+}
+
+/// Makes the scene's study, or a shard of it, keeping what is done.
+///
+/// # Errors
+/// Those of the study, of what was kept before, and of writing.
+pub fn study(
+    session: &Session<'_>,
+    (shard, resume): (Option<Shard>, Resume),
+    path: &Path,
+    provenance: &Provenance,
+) -> Result<StudyDone, RunError> {
+    let asked = session.scene().model.study.as_ref();
+    let asked = asked.ok_or(SessionError::NoStudy)?;
+    let count = combinations(asked).len();
+    let path = target(path)?;
+    drop(Draft::begin(&path)?);
+    let manifest = Manifest::of_study(session, shard, count, provenance);
+    let mut known: BTreeMap<usize, Variant> = BTreeMap::new();
+    let mut kept = Vec::new();
+    if let Resume::Now(_) = resume {
+        for (source, own) in before(&manifest, &path)? {
+            known.extend(own);
+            kept.push(source);
+        }
+        if !known.is_empty() {
+            let note = format!("{} variants were done before", known.len());
+            session.progress().note(&note);
+        }
+    }
+    let unfinished = match kept.contains(&path) {
+        true => path.clone(),
+        false => path_of_stopped(&path),
+    };
+    let own = shard.map_or_else(|| (0..count).collect(), |shard| shard.own(count));
+    let left: Vec<usize> = own
+        .iter()
+        .copied()
+        .filter(|k| !known.contains_key(k))
+        .collect();
+
+    let every = match resume {
+        Resume::Never => None,
+        Resume::Later(seconds) | Resume::Now(seconds) => Some(Duration::from_secs(seconds.into())),
+    };
+    let mut last = Instant::now();
+    let mut keep = |done: &[Variant]| {
+        if every.is_none_or(|every| last.elapsed() < every) || done.len() == left.len() {
+            return;
+        }
+        let mut so_far = known.clone();
+        so_far.extend(left.iter().copied().zip(done.iter().cloned()));
+        let part = Part {
+            session,
+            manifest: &manifest,
+            provenance,
+        };
+        if let Err(error) = part.write(&so_far, &unfinished, true) {
+            let path = unfinished.display();
+            let note = format!("what is done could not be kept in {path}: {error}");
+            session.progress().note(&note);
+        }
+        last = Instant::now();
+    };
+    let made = session.some_variants(&left, &mut keep)?;
+    known.extend(left.into_iter().zip(made));
+
+    let stopped = session.is_over();
+    let part = Part {
+        session,
+        manifest: &manifest,
+        provenance,
+    };
+    let to = if stopped { &unfinished } else { &path };
+    if stopped && kept.is_empty() {
+        note_replaced(session, to);
+    }
+    let path = match shard.is_some() || stopped {
+        true => part.write(&known, to, stopped)?,
+        false => whole(session, known.values(), to, provenance)?,
+    };
+    if !stopped {
+        for other in kept
+            .iter()
+            .chain([&unfinished])
+            .filter(|other| **other != path)
+        {
+            if Source::open(other).is_ok_and(|s| s.manifest == manifest) {
+                let _ = std::fs::remove_file(other);
+            }
+        }
+    }
+    Ok(StudyDone {
+        variants: known.into_values().collect(),
+        stopped,
+        path,
+    })
+}
+
+/// What earlier runs of the same have kept.
+fn before(
+    manifest: &Manifest,
+    path: &Path,
+) -> Result<Vec<(PathBuf, BTreeMap<usize, Variant>)>, RunError> {
+    let beside = stopped_beside(path);
+    let mut found = Vec::new();
+    for path in [path, &beside].into_iter().filter(|path| path.exists()) {
+        let source = match Source::open(path) {
+            Ok(source) => source,
+            Err(RunError::Merge(MergeError::NoPart { .. })) => continue,
+            Err(error) => return Err(error),
+        };
+        source.is_of(manifest)?;
+        let done: Vec<usize> = source.done().collect();
+        let mut variants = read(&source)?;
+        variants.retain(|k, _| done.contains(k));
+        found.push((path.to_owned(), variants));
+    }
+    Ok(found)
+}
+
+/// A part on its way into a file.
+struct Part<'p> {
+    session: &'p Session<'p>,
+    manifest: &'p Manifest,
+    provenance: &'p Provenance,
+}
+
+impl Part<'_> {
+    fn write(
+        &self,
+        variants: &BTreeMap<usize, Variant>,
+        to: &Path,
+        stopped: bool,
+    ) -> Result<PathBuf, RunError> {
+        let mut file = ResultFile::create(to)?;
+        let rows: Vec<Variant> = variants.values().cloned().collect();
+        write_study(self.session, &mut file, (&rows, stopped), self.provenance)?;
+        file.shard(&ShardGroups {
+            number: variants.keys().map(|k| *k as i32).collect(),
+            done: (rows.iter())
+                .map(|v| i32::from(v.status != PointStatus::OutOfTime))
+                .collect(),
+            states: vec![0; rows.len()],
+            ..ShardGroups::default()
+        })?;
+        write_manifest(&file, self.manifest)?;
+        self.session.finish(file, self.provenance)
+    }
+}
+
+fn whole<'v>(
+    session: &Session<'_>,
+    variants: impl Iterator<Item = &'v Variant>,
+    to: &Path,
+    provenance: &Provenance,
+) -> Result<PathBuf, RunError> {
+    let mut file = ResultFile::create(to)?;
+    let rows: Vec<Variant> = variants.cloned().collect();
+    write_study(session, &mut file, (&rows, false), provenance)?;
+    session.finish(file, provenance)
+}
+
+/// Puts parts of a study together.
+///
+/// # Errors
+/// Of reading and writing.
+pub(super) fn assemble(
+    session: &Session<'_>,
+    sources: &[Source],
+    (gaps, out): (bool, &Path),
+    provenance: &Provenance,
+) -> Result<(ResultFile, RunSummary), RunError> {
+    let model = &session.scene().model;
+    let asked = model.study.as_ref().ok_or(SessionError::NoStudy)?;
+    let mut all: BTreeMap<usize, Variant> = BTreeMap::new();
+    for source in sources {
+        all.extend(read(source)?);
+    }
+    for (k, parameters) in combinations(asked).into_iter().enumerate() {
+        all.entry(k)
+            .or_insert_with(|| Variant::without(model, asked, parameters, PointStatus::NotMerged));
+    }
+    let rows: Vec<Variant> = all.into_values().collect();
+    let mut file = ResultFile::create(out)?;
+    let summary = write_study(session, &mut file, (&rows, gaps), provenance)?;
+    Ok((file, summary))
+}
+
+/// The variants in a part, by their numbers.
+fn read(source: &Source) -> Result<BTreeMap<usize, Variant>, RunError> {
+    let stored = &source.stored;
+    let model = &stored.scene.model;
+    let asked = model
+        .study
+        .as_ref()
+        .ok_or_else(|| source.damaged("study"))?;
+    let combinations = combinations(asked);
+    let numbers = source.numbers();
+    if numbers.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+    let rows = rows(stored, model, asked, numbers.len())?;
+    let mut found = BTreeMap::new();
+    for (&number, variant) in numbers.iter().zip(rows) {
+        let parameters = combinations.get(number);
+        // They are those of the scene.
+        let same = parameters.is_some_and(|own| *own == variant.parameters);
+        if !same || found.insert(number, variant).is_some() {
+            return Err(source.damaged("study"));
+        }
+    }
+    Ok(found)
+}
+
+/// The rows of `/study` with their trajectories.
+fn rows(
+    stored: &Stored,
+    model: &Model,
+    asked: &Study,
+    count: usize,
+) -> Result<Vec<Variant>, StoredError> {
+    let no_group = |group: &schema::Group| StoredError::NoGroup {
+        path: stored.path.clone(),
+        group: group.name.to_owned(),
+        hint: "",
+    };
+    let group = stored
+        .group(&schema::STUDY)
+        .ok_or_else(|| no_group(&schema::STUDY))?;
+    let (n, m, samples) = (model.states.len(), model.controls.len(), asked.samples);
+    let column = |name: &str| group.shaped(name, &[count]);
+    let columns = |names: Vec<&str>| -> Result<Vec<Vec<f64>>, StoredError> {
+        names.into_iter().map(column).collect()
+    };
+    let parameters = columns(asked.vary.iter().map(|(name, _)| name.as_str()).collect())?;
+    let records = columns(asked.records.iter().map(|r| r.name.as_str()).collect())?;
+    let (x0, u) = (
+        group.shaped("x0", &[count, n])?,
+        group.shaped("u", &[count, m])?,
+    );
+    let (value, duration) = (column("V")?, column("duration")?);
+    let (status, sheets) = (group.codes("status", count)?, group.codes("sheets", count)?);
+
+    let group = stored.group(&schema::STUDY_TRAJECTORIES);
+    let group = group.ok_or_else(|| no_group(&schema::STUDY_TRAJECTORIES))?;
+    let of = |name: &str, width: Option<usize>| {
+        let shape = [&[count, samples][..], width.as_slice()].concat();
+        group.shaped(name, &shape)
+    };
+    let (t, v) = (of("t", None)?, of("V", None)?);
+    let (x, controls) = (of("x", Some(n))?, of("u", Some(m))?);
+
+    let row = |k: usize| -> Option<Variant> {
+        let part = |all: &[f64], width: usize| all[k * width..(k + 1) * width].to_vec();
+        let status = PointStatus::ALL
+            .iter()
+            .find(|(s, _)| *s as i32 == status[k])?
+            .0;
+        let times = part(&t, samples);
+        let is_there = times.iter().any(|t| !t.is_nan());
+        Some(Variant {
+            parameters: parameters.iter().map(|p| p[k]).collect(),
+            x0: part(&x0, n),
+            status,
+            value: value[k],
+            u: if m > 0 { part(&u, m) } else { Vec::new() },
+            sheets: usize::try_from(sheets[k]).ok()?,
+            duration: duration[k],
+            records: records.iter().map(|r| r[k]).collect(),
+            trajectory: is_there.then(|| TrajectoryBlock {
+                count: 1,
+                t: times,
+                x: part(&x, samples * n),
+                u: if m > 0 {
+                    part(&controls, samples * m)
+                } else {
+                    Vec::new()
+                },
+                v: part(&v, samples),
+                ..TrajectoryBlock::default()
+            }),
+        })
+    };
+    let wrong = || group.error("status", "not as this program writes it");
+    (0..count).map(|k| row(k).ok_or_else(wrong)).collect()
+}
