@@ -51,7 +51,7 @@ def measured(name, scene, points, count, folder, workers=(1, 2, 4), shards=16):
         return ["solve", scene, "--points", points, "--out", out, "--backend", "cpu", "--quiet", "--shard", f"{k}/{of}"]
 
     # More shards than blocks of states: the last ones are empty.
-    empty = [timed(lambda: waited(costate(*command(k, 100_000, folder / "e.h5")))) for k in range(5)]
+    empty = [timed(lambda: waited(costate(*command(99_990 + k, 100_000, folder / "e.h5")))) for k in range(5)]
     print(f"{name}: {count} states; a shard without any {statistics.median(empty):.2f} s", flush=True)
     whole = folder / "whole.h5"
     words = ["solve", scene, "--points", points, "--out", whole, "--backend", "cpu", "--quiet"]

@@ -37,7 +37,8 @@ pub enum Selection {
     Hardware,
     /// The best adapter, a software one where there is no other.
     Any,
-    /// The best one whose name contains this, whatever the case.
+    /// The one of this number in the list of [`adapters`], from 0; or the best one whose name contains
+    /// this, whatever the case.
     Named(String),
 }
 

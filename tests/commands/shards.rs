@@ -480,3 +480,107 @@ fn a_killed_run_leaves_a_checkpoint() {
     assert!(errors.contains("were done before"), "{errors}");
     same_results(&folder.join("whole.h5"), &folder.join("a.h5"));
 }
+
+/// A study divides by its variants.
+#[test]
+fn shards_of_a_study_are_the_whole() {
+    let folder = scratch("shards-study");
+    let study = "study = { vary = { q = [1, 2, 3, 4, 5] }, from = { x = 0.5 }, samples = 4 }";
+    std::fs::write(folder.join("scene.toml"), format!("{LINEAR}{study}\n")).unwrap();
+    let study = ["study", "scene.toml", "--backend", "cpu"];
+    done(&folder, &[&study[..], &["--out", "whole.h5"]].concat());
+    // More shards than variants.
+    let parts = shards(&folder, &study, 7);
+    let all = merged(&folder, &parts, &["--quiet"]);
+    same_results(&folder.join("whole.h5"), &all);
+    in_schema(&folder.join("p0.h5"));
+    let summary = |path: &Path| {
+        Stored::open(path)
+            .unwrap()
+            .run_summary()
+            .unwrap()
+            .unwrap()
+            .study
+    };
+    assert_eq!(summary(&all), summary(&folder.join("whole.h5")));
+
+    let rows = |path: &str| {
+        let stored = Stored::open(folder.join(path)).unwrap();
+        stored
+            .group("study")
+            .map_or(0, |group| group.f64("V").unwrap().values.len())
+    };
+    let full = (0..7).map(|k| rows(&format!("p{k}.h5")));
+    assert_eq!(full.clone().sum::<usize>(), 5);
+    let first = full.clone().position(|rows| rows == 1).unwrap();
+    let others: Vec<&str> = (parts.iter().enumerate())
+        .filter(|(k, _)| *k != first)
+        .map(|(_, name)| name.as_str())
+        .collect();
+    let partial = [
+        &["merge", "--partial", "--out", "some.h5"],
+        others.as_slice(),
+    ]
+    .concat();
+    assert_eq!(run(&folder, &partial).0.status.code(), Some(75));
+    let stored = Stored::open(folder.join("some.h5")).unwrap();
+    let group = stored.group("study").unwrap();
+    let missing = (group.meanings("status").into_iter()).find(|(_, name)| name == "not merged");
+    let status = group.i32("status").unwrap().1;
+    let code = missing.unwrap().0;
+    assert_eq!(status.iter().filter(|s| **s == code).count(), 1);
+
+    // Gone on with after a time limit.
+    let own = [&study[..], &["--out", "a.h5", "--quiet", "--resume"]].concat();
+    let (output, errors) = run(&folder, &[&own[..], &["--time-limit", "1e-3"]].concat());
+    assert_eq!(output.status.code(), Some(75), "{errors}");
+    done(&folder, &own);
+    same_results(&folder.join("whole.h5"), &folder.join("a.h5"));
+    // Parts of other work are not gone on with.
+    let list = [
+        &SOLVE[..],
+        &["--out", "p0.h5", "--resume", "--shard", "0/7"],
+    ]
+    .concat();
+    points(&folder.join("states.csv"), ["x", "v"], [[-1.0, 1.0]; 2], 3);
+    let (output, errors) = run(&folder, &list);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("kind of work"), "{errors}");
+}
+
+/// The example for Slurm, with the variables of a job array and no cluster.
+#[cfg(unix)]
+#[test]
+fn the_slurm_script_does_a_job_array() {
+    let folder = linear("shards-slurm");
+    let bin = folder.join("bin");
+    std::fs::create_dir_all(&bin).unwrap();
+    std::os::unix::fs::symlink(env!("CARGO_BIN_EXE_costate"), bin.join("costate")).unwrap();
+    let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
+    let script = Path::new(crate::ROOT).join("examples/slurm.sh");
+    for task in 5..8 {
+        let done = Command::new("bash")
+            .arg(&script)
+            .args(["scene.toml", "states.csv"])
+            .current_dir(&folder)
+            .env("PATH", &path)
+            .env("SLURM_ARRAY_JOB_ID", "77")
+            .env("SLURM_ARRAY_TASK_ID", task.to_string())
+            .env("SLURM_ARRAY_TASK_COUNT", "3")
+            .env("SLURM_ARRAY_TASK_MIN", "5")
+            .output()
+            .unwrap();
+        let errors = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.success(), "{errors}");
+        assert_eq!(
+            folder.join("out/scene/all.h5").exists(),
+            task == 7,
+            "{errors}"
+        );
+    }
+    done(
+        &folder,
+        &[&SOLVE[..], &["--out", "whole.h5", "--quiet"]].concat(),
+    );
+    same_results(&folder.join("whole.h5"), &folder.join("out/scene/all.h5"));
+}

@@ -683,3 +683,19 @@ fn long_equations_on_a_device() {
         }
     }
 }
+
+/// An adapter is opened by its number, or a part of its name; others are refused.
+#[test]
+fn an_adapter_has_a_number() {
+    use costate::backend::adapters::{Selection, adapters};
+    use costate::backend::gpu::Gpu;
+    drop(any_gpu());
+    let all = adapters();
+    for (k, info) in all.iter().enumerate() {
+        let open = Gpu::open(&Selection::Named(k.to_string()));
+        let open = open.unwrap().expect("it is in the list");
+        assert_eq!(open.info().name, info.name);
+    }
+    let none = Gpu::open(&Selection::Named((all.len() + 7_000_000).to_string()));
+    assert!(none.is_err());
+}

@@ -186,7 +186,8 @@ pub struct NumericsArgs {
     /// or the CPU.
     #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
     pub backend: BackendChoice,
-    /// Use the adapter whose name contains this.
+    /// Use the adapter whose name contains this, or of this number (from 0) in the list of `costate
+    /// adapters`.
     #[arg(long, value_name = "NAME")]
     pub adapter: Option<String>,
     /// Arithmetic of the integration [default: the scene's]
@@ -337,7 +338,8 @@ pub struct ValueArgs {
     /// (auto). The GPU tells the lowest sheet of each state.
     #[arg(long, value_enum, default_value_t = BackendChoice::Cpu)]
     pub backend: BackendChoice,
-    /// Use the adapter whose name contains this.
+    /// Use the adapter whose name contains this, or of this number (from 0) in the list of `costate
+    /// adapters`.
     #[arg(long, value_name = "NAME")]
     pub adapter: Option<String>,
     /// Arithmetic on the GPU [default: f64 where the adapter has it]

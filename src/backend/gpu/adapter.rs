@@ -90,7 +90,12 @@ impl Device {
         if found.is_empty() && *selection != Selection::Hardware {
             return Err(BackendError::NoAdapter);
         }
-        let Some(adapter) = found.iter().find(|a| accepts(selection, a)) else {
+        let numbered = match selection {
+            Selection::Named(text) => text.parse::<usize>().ok().and_then(|k| found.get(k)),
+            _ => None,
+        };
+        let named = || found.iter().find(|a| accepts(selection, a));
+        let Some(adapter) = numbered.or_else(named) else {
             return match selection {
                 Selection::Named(wanted) => {
                     let names: Vec<String> = found.iter().map(|a| a.get_info().name).collect();
