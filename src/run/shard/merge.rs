@@ -59,6 +59,8 @@ pub enum MergeError {
         "{path} is no part of a whole: it was not made with --shard", path = path.display()
     )]
     NoPart { path: PathBuf },
+    #[error("{path} is a part that another version of costate has made: make it again with this one", path = path.display())]
+    OtherVersion { path: PathBuf },
     #[error(
         "{path} and {other} are not of one whole: {what} differs ({a}; {b})",
         path = path.display(), other = other.display()
@@ -136,7 +138,14 @@ impl Source {
         let no_part = || MergeError::NoPart {
             path: path.to_owned(),
         };
-        let manifest = Manifest::read(&stored).ok_or_else(no_part)?;
+        let manifest = match Manifest::read(&stored) {
+            Some(manifest) => manifest,
+            None if stored.has_attribute(super::MANIFEST) => {
+                let path = path.to_owned();
+                return Err(MergeError::OtherVersion { path }.into());
+            }
+            None => return Err(no_part().into()),
+        };
         let group = stored.group(&schema::SHARD).ok_or_else(no_part)?;
         let (number, done, states) = (
             group.i32("number")?.1,
