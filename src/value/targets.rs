@@ -179,11 +179,6 @@ impl<'g> Whole<'g> {
         }
     }
 
-    /// How many there are.
-    pub fn len(&self) -> usize {
-        self.targets.len()
-    }
-
     /// The states `[target][n]`, in lexicographic order.
     pub fn x(&self) -> &[f64] {
         &self.targets.x
@@ -303,7 +298,7 @@ impl Targets {
         widths: &[f64],
     ) -> Self {
         let whole = Whole::new(states, grids, limits, singles);
-        let all: Vec<usize> = (0..whole.len()).collect();
+        let all: Vec<usize> = (0..whole.targets.len()).collect();
         whole.part(&all, widths)
     }
 

@@ -20,6 +20,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+/// Variants by their numbers.
+type Variants = BTreeMap<usize, Variant>;
+
 /// What came of it.
 pub struct StudyDone {
     /// The variants that are in the file.
@@ -46,7 +49,7 @@ pub fn study(
     let path = target(path)?;
     drop(Draft::begin(&path)?);
     let manifest = Manifest::of_study(session, shard, count, provenance);
-    let mut known: BTreeMap<usize, Variant> = BTreeMap::new();
+    let mut known = Variants::new();
     let mut kept = Vec::new();
     if let Resume::Now(_) = resume {
         for (source, own) in before(&manifest, &path)? {
@@ -128,10 +131,7 @@ pub fn study(
 }
 
 /// What earlier runs of the same have kept.
-fn before(
-    manifest: &Manifest,
-    path: &Path,
-) -> Result<Vec<(PathBuf, BTreeMap<usize, Variant>)>, RunError> {
+fn before(manifest: &Manifest, path: &Path) -> Result<Vec<(PathBuf, Variants)>, RunError> {
     let beside = stopped_beside(path);
     let mut found = Vec::new();
     for path in [path, &beside].into_iter().filter(|path| path.exists()) {
@@ -157,12 +157,7 @@ struct Part<'p> {
 }
 
 impl Part<'_> {
-    fn write(
-        &self,
-        variants: &BTreeMap<usize, Variant>,
-        to: &Path,
-        stopped: bool,
-    ) -> Result<PathBuf, RunError> {
+    fn write(&self, variants: &Variants, to: &Path, stopped: bool) -> Result<PathBuf, RunError> {
         let mut file = ResultFile::create(to)?;
         let rows: Vec<Variant> = variants.values().cloned().collect();
         write_study(self.session, &mut file, (&rows, stopped), self.provenance)?;
@@ -203,7 +198,7 @@ pub(super) fn assemble(
 ) -> Result<(ResultFile, RunSummary), RunError> {
     let model = &session.scene().model;
     let asked = model.study.as_ref().ok_or(SessionError::NoStudy)?;
-    let mut all: BTreeMap<usize, Variant> = BTreeMap::new();
+    let mut all = Variants::new();
     for source in sources {
         all.extend(read(source)?);
     }
@@ -218,7 +213,7 @@ pub(super) fn assemble(
 }
 
 /// The variants in a part, by their numbers.
-fn read(source: &Source) -> Result<BTreeMap<usize, Variant>, RunError> {
+fn read(source: &Source) -> Result<Variants, RunError> {
     let stored = &source.stored;
     let model = &stored.scene.model;
     let asked = model
@@ -228,10 +223,10 @@ fn read(source: &Source) -> Result<BTreeMap<usize, Variant>, RunError> {
     let combinations = combinations(asked);
     let numbers = source.numbers();
     if numbers.is_empty() {
-        return Ok(BTreeMap::new());
+        return Ok(Variants::new());
     }
     let rows = rows(stored, model, asked, numbers.len())?;
-    let mut found = BTreeMap::new();
+    let mut found = Variants::new();
     for (&number, variant) in numbers.iter().zip(rows) {
         let parameters = combinations.get(number);
         // They are those of the scene.
