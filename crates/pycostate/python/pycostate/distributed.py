@@ -37,12 +37,14 @@ class Work:
     def __init__(self, client, submit, shards: int, retries: int, finish):
         self._client, self._submit, self._finish = client, submit, finish
         self._retries, self._tried = retries, [0] * shards
+        self._parts = [None] * shards
         #: The futures of the cluster, one a shard: those that are done again are replaced.
         self.futures = [submit(k, 0) for k in range(shards)]
         self._made = None
 
     def __repr__(self):
-        done = sum(f.status == "finished" for f in self.futures)
+        fetched = [part is not None for part in self._parts]
+        done = sum(there or f.status == "finished" for there, f in zip(fetched, self.futures))
         return f"<pycostate.distributed.Work: {done} of {len(self.futures)} shards done>"
 
     def cancel(self) -> None:
@@ -59,15 +61,16 @@ class Work:
     def _gathered(self, timeout):
         from dask.distributed import as_completed
 
-        number = {future.key: k for k, future in enumerate(self.futures)}
-        parts = [None] * len(self.futures)
-        waiting = as_completed(self.futures, timeout=timeout)
+        number = {f.key: k for k, f in enumerate(self.futures) if self._parts[k] is None}
+        waiting = as_completed([self.futures[k] for k in number.values()], timeout=timeout)
         for future in waiting:
             k = number[future.key]
             failure = self._failure(future)
             if failure is None:
                 try:
-                    parts[k] = future.result()
+                    self._parts[k] = future.result()
+                    # It is here: no worker needs to have it, nor to make it again.
+                    future.release()
                     continue
                 # What a lost worker had in its memory alone is lost.
                 except Exception as error:
@@ -76,14 +79,14 @@ class Work:
                 self.cancel()
                 if _is_lost(failure):
                     raise CostateError(
-                        f"shard {k} of {len(parts)} was lost {self._tried[k] + 1} times ({failure}); retries={2 * self._retries} tries longer"
+                        f"shard {k} of {len(self._parts)} was lost {self._tried[k] + 1} times ({failure}); retries={2 * self._retries} tries longer"
                     ) from failure
                 raise failure
             self._tried[k] += 1
             again = self._submit(k, self._tried[k])
             self.futures[k], number[again.key] = again, k
             waiting.add(again)
-        return parts
+        return self._parts
 
     def _failure(self, future):
         if future.status == "error":
