@@ -311,6 +311,29 @@ fn machine() -> &'static str {
     &NAME
 }
 
+/// Lets this process have so many files open at once, as far as it may: systems begin with some
+/// hundred.
+pub fn allow_open(count: usize) {
+    #[cfg(unix)]
+    {
+        let wanted = count as libc::rlim_t;
+        let mut limit = libc::rlimit {
+            rlim_cur: 0,
+            rlim_max: 0,
+        };
+        // SAFETY: both calls get a limit of this process, which lives as long as they do.
+        unsafe {
+            if libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) == 0 && limit.rlim_cur < wanted
+            {
+                limit.rlim_cur = wanted.min(limit.rlim_max);
+                libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit);
+            }
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = count;
+}
+
 /// Makes a directory that may be there.
 ///
 /// # Errors

@@ -44,7 +44,9 @@ use crate::model::Model;
 use crate::result::{RunRecord, Stored, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::RunSummary;
-use crate::session::{Estimates, Finished, Kept, Outcome, Pass, Resume, Session, Wanted};
+use crate::session::{
+    Estimates, Finished, Kept, Outcome, Pass, Resume, Session, SessionError, Wanted,
+};
 use crate::sweep::Plan;
 use crate::sweep::accuracy::Spread;
 use std::path::{Path, PathBuf};
@@ -122,6 +124,9 @@ impl Session<'_> {
     ) -> Result<Done, RunError> {
         let pass = self.prepare(wanted)?;
         if wanted.shard.is_some() || wanted.resume != Resume::Never {
+            if wanted.sweep || wanted.study || wanted.laws {
+                return Err(SessionError::StatesAlone.into());
+            }
             return shard::run(self, wanted, (pass, path.as_ref()), provenance);
         }
         self.run_whole(wanted, pass, path.as_ref(), provenance)

@@ -35,6 +35,10 @@ pub enum SessionError {
         "a map to an error is not divided into shards, but a grid is: leave --shard out, or [map] error"
     )]
     NotDivided,
+    #[error(
+        "only states that are solved for are divided into shards and gone on with, not a sweep, a study or laws in one run with them"
+    )]
+    StatesAlone,
     #[error("the scene has no [study]")]
     NoStudy,
     #[error("how long to simulate? Give [simulation] time = ..., or --time")]

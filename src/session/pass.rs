@@ -16,6 +16,7 @@ use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::blocks::{Blocks, Found, Keeper, Seam};
 use crate::value::{self, Answers, Archive, Entry, PointStatus};
+use rustc_hash::FxHashSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -397,6 +398,7 @@ impl Session<'_> {
             None => (0..count).collect(),
             Some(shard) => shard.own(count),
         };
+        let done: FxHashSet<usize> = done.iter().copied().collect();
         own.retain(|block| !done.contains(block));
         let rows = blocks.whole.rows_in_all();
         let mut keeper = KeepStates {

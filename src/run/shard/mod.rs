@@ -4,7 +4,10 @@ mod manifest;
 mod merge;
 mod part;
 mod rows;
+mod source;
+mod stream;
 mod study;
+mod whole;
 
 pub use manifest::{Asked, Kind, Manifest};
 pub use merge::{MergeError, MergeOptions, Merged, merge};

@@ -5,7 +5,9 @@ use super::super::{
     trajectory_schema, write_estimates, write_outcome, write_sampled,
 };
 use super::manifest::Manifest;
-use super::merge::{Into, MergeError, Source, assemble};
+use super::merge::MergeError;
+use super::source::Source;
+use super::whole::{Into, assemble};
 use super::{write_manifest, write_states};
 use crate::backend::cpu::Cpu;
 use crate::files::{Draft, target};
@@ -70,7 +72,7 @@ pub(in crate::run) fn run<'s>(
         work.unfinished.clone_from(&work.path);
     }
     (session.progress()).begun(model, pass.plan(), session.backend());
-    let done: Vec<usize> = before.iter().flat_map(Source::done).collect();
+    let done: Vec<usize> = before.iter().flat_map(Source::units_done).collect();
     if !done.is_empty() {
         let (some, of) = (done.len(), work.manifest.units);
         let note = format!("{some} blocks of states, of {of} in all, were done before");

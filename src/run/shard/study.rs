@@ -4,7 +4,8 @@ use super::super::{
     Provenance, RunError, note_replaced, path_of_stopped, stopped_beside, write_study,
 };
 use super::manifest::Manifest;
-use super::merge::{MergeError, Source};
+use super::merge::MergeError;
+use super::source::Source;
 use super::write_manifest;
 use crate::files::{Draft, target};
 use crate::hdf5::ResultFile;
@@ -141,7 +142,7 @@ fn before(manifest: &Manifest, path: &Path) -> Result<Vec<(PathBuf, Variants)>, 
             Err(error) => return Err(error),
         };
         source.is_of(manifest)?;
-        let done: Vec<usize> = source.done().collect();
+        let done: Vec<usize> = source.units_done().collect();
         let mut variants = read(&source)?;
         variants.retain(|k, _| done.contains(k));
         found.push((path.to_owned(), variants));

@@ -1,0 +1,418 @@
+//! The whole, or a larger part, of some parts.
+
+use super::super::{Provenance, RunError, in_json};
+use super::manifest::Manifest;
+use super::merge::listed;
+use super::source::Source;
+use super::stream::{Counted, MOST_ROWS, Sinks, Stream};
+use crate::backend::cpu::{Cpu, in_pool};
+use crate::hdf5::ResultFile;
+use crate::model::Model;
+use crate::result::{RunRecord, ShardGroups, TrajectorySchema};
+use crate::session::summary::{Quantiles, RunSummary, SolvedErrors, SolvedSummary};
+use crate::session::{Session, SessionError, Wanted};
+use crate::sweep::Plan;
+use crate::value::blocks::{Joined, Seam, Wanting, join, lines};
+use crate::value::{self, Answers, Grid, PointStatus, Request};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+use std::path::{Path, PathBuf};
+
+/// Rows that are held at once, of all files together; and at least of each.
+const ROWS: usize = 1 << 19;
+const LEAST_ROWS: usize = 256;
+
+/// Shards that are missing, and those that are not finished; `None` where there are none.
+pub(super) type Gaps<'a> = Option<(&'a [usize], &'a [usize])>;
+
+pub(super) fn note_gaps(file: &ResultFile, gaps: Gaps<'_>) -> Result<(), RunError> {
+    if let Some((missing, unfinished)) = gaps {
+        file.attribute("shards_missing", listed(missing))?;
+        file.attribute("shards_unfinished", listed(unfinished))?;
+    }
+    Ok(())
+}
+
+/// What parts are put together to.
+#[derive(Clone, Copy)]
+pub(super) enum Into<'a> {
+    /// The whole, and what is missing of it.
+    Whole(Gaps<'a>),
+    /// A part; whether it is finished.
+    Part(&'a Manifest, bool),
+}
+
+/// Puts parts together, and in place.
+pub(super) fn assemble(
+    session: &Session<'_>,
+    sources: &[Source],
+    into: Into<'_>,
+    out: &Path,
+    provenance: &Provenance,
+) -> Result<(PathBuf, RunSummary), RunError> {
+    let progress = session.progress();
+    let whole = Whole::new(session, sources)?;
+    progress.step("sheets of the parts are joined");
+    let (plan, model, request, seams) = (&whole.plan, whole.model, &whole.request, &whole.seams);
+    let is_part = matches!(into, Into::Part(..));
+    let joined = in_pool(|| joined((plan, model), request, seams, is_part))?;
+    progress.step_ended();
+
+    let mut file = ResultFile::create(out)?;
+    let mut groups = is_part.then(ShardGroups::default);
+    let counted = whole.write_rows(&mut file, &joined, groups.as_mut())?;
+    let (edges, solutions) = whole.edges(&joined);
+    file.sheet_edges(&whole.schema, &edges)?;
+    let is_whole = matches!(into, Into::Whole(None) | Into::Part(_, true));
+    let summary = whole.summary(&joined, counted, (&edges, solutions), (!is_whole, out));
+    file.attribute("summary", in_json(&summary))?;
+    if !is_whole {
+        file.attribute("stopped", 1i64)?;
+    }
+    match into {
+        Into::Part(manifest, _) => {
+            let groups = groups.unwrap_or_default();
+            file.shard(&whole.groups(groups))?;
+            super::write_manifest(&file, manifest)?;
+        }
+        Into::Whole(gaps) => note_gaps(&file, gaps)?,
+    }
+    let record = |name: &str| sources[0].stored.attribute(name).unwrap_or_default();
+    RunRecord {
+        backend: record("backend"),
+        adapter: record("adapter"),
+        precision: record("precision"),
+        method: record("method"),
+        rtol: summary.rtol,
+        atol: summary.atol,
+        wall_seconds: summary.wall_seconds,
+        ..provenance.record(model)
+    }
+    .write(&file)?;
+    Ok((file.finish()?, summary))
+}
+
+/// What all parts are of.
+pub(super) struct Whole<'s> {
+    sources: &'s [Source],
+    pub manifest: &'s Manifest,
+    pub model: &'s Model,
+    pub plan: Plan,
+    pub schema: TrajectorySchema,
+    pub request: Request,
+    map: bool,
+    /// All seams, by block.
+    seams: Vec<Seam>,
+    /// Of each block the part that it is taken from: one in which it was searched to the end, if
+    /// there is one.
+    from: BTreeMap<i32, usize>,
+}
+
+/// The sheets' numbers over all parts.
+fn joined(
+    (plan, model): (&Plan, &Model),
+    request: &Request,
+    seams: &[Seam],
+    is_part: bool,
+) -> Result<Joined, SessionError> {
+    let mut solver = value::solver(plan, &Cpu::new())?;
+    let wanting = match is_part {
+        false => Wanting::of(plan, model, request),
+        true => Wanting::of(plan, model, request).in_no_time(),
+    };
+    Ok(join(plan, &mut solver, seams, &request.grids, wanting)?)
+}
+
+impl<'s> Whole<'s> {
+    fn new(session: &'s Session<'_>, sources: &'s [Source]) -> Result<Self, RunError> {
+        let model = &session.scene().model;
+        let manifest = &sources[0].manifest;
+        let mut from: BTreeMap<i32, (usize, i32)> = BTreeMap::new();
+        for (k, source) in sources.iter().enumerate() {
+            for (&block, &done) in source.number.iter().zip(&source.done) {
+                let known = from.entry(block).or_insert((k, done));
+                if done > known.1 {
+                    *known = (k, done);
+                }
+            }
+        }
+        let from: BTreeMap<i32, usize> = from.into_iter().map(|(b, (k, _))| (b, k)).collect();
+        let mut seams = Vec::new();
+        for (k, source) in sources.iter().enumerate() {
+            let own = source.seams()?.into_iter();
+            seams.extend(own.filter(|seam| from.get(&(seam.block as i32)) == Some(&k)));
+        }
+        seams.sort_by_key(|seam| seam.block);
+        let asked = &manifest.asked;
+        let mut request = Request {
+            one_sheet: asked.one_sheet,
+            ..Request::default()
+        };
+        let mut map = false;
+        if !asked.listed {
+            let wanted = match asked.of_map {
+                true => Wanted::map(),
+                false => Wanted::homotopy(),
+            };
+            if let Some(targets) = session.targets(&wanted)? {
+                (request, map) = (targets.request, targets.map);
+            }
+        }
+        let choices = value::for_guesses(
+            crate::sweep::Choices {
+                rtol: Some(manifest.rtol),
+                ..crate::sweep::Choices::default()
+            },
+            model.states.len(),
+            asked.rows,
+        );
+        let plan = session.plan(choices)?;
+        Ok(Self {
+            schema: super::super::trajectory_schema(model, &plan),
+            sources,
+            manifest,
+            model,
+            plan,
+            request,
+            map,
+            seams,
+            from,
+        })
+    }
+
+    /// Where two sheets cost the same, and folds, over all parts; and how many solutions there are.
+    fn edges(&self, joined: &Joined) -> (Answers, usize) {
+        let mut all = Answers::default();
+        for (k, seam) in self.seams.iter().enumerate() {
+            let number = |s: i32| joined.sheet[k][s as usize];
+            all.equal_cost
+                .extend(seam.crossings.iter().cloned().map(|mut one| {
+                    one.renumber(number);
+                    one
+                }));
+            all.folds.extend(seam.folds.iter().cloned());
+        }
+        all.equal_cost.extend(joined.crossings.iter().cloned());
+        all.equal_cost.sort_by_key(|e| e.point.between);
+        lines(&mut all.equal_cost, &self.request.grids);
+        let solutions = self.seams.iter().map(|s| s.solutions).sum();
+        (all, solutions)
+    }
+
+    /// The groups of a part that has these rows.
+    fn groups(&self, rows: ShardGroups) -> ShardGroups {
+        let of = |block: &i32, from: usize, column: fn(&Source) -> &[i32]| {
+            let source = &self.sources[from];
+            let place = source.number.iter().position(|own| own == block);
+            place.map_or(0, |k| column(source)[k])
+        };
+        let blocks = || self.from.iter();
+        ShardGroups {
+            number: blocks().map(|(block, _)| *block).collect(),
+            done: blocks()
+                .map(|(block, k)| of(block, *k, |s| &s.done))
+                .collect(),
+            states: blocks()
+                .map(|(block, k)| of(block, *k, |s| &s.states))
+                .collect(),
+            seams: self.seams.iter().flat_map(Seam::to_numbers).collect(),
+            ..rows
+        }
+    }
+
+    /// How many rows of each file are held at once.
+    fn at_once(&self) -> usize {
+        (ROWS / self.sources.len()).clamp(LEAST_ROWS, MOST_ROWS)
+    }
+
+    /// The grid of `/map`.
+    pub fn grid(&self) -> Option<&Grid> {
+        self.request.grids.last().filter(|_| self.map)
+    }
+
+    /// Writes `/points`, `/points_sheets`, `/map` and `/trajectories`, in the order in which states
+    /// were asked for. Of a part all states go to `/points`, and `part` is told of them.
+    fn write_rows(
+        &self,
+        file: &mut ResultFile,
+        joined: &Joined,
+        mut part: Option<&mut ShardGroups>,
+    ) -> Result<Counted, RunError> {
+        let mut streams = (self.sources.iter())
+            .map(|source| Stream::open(source, self.at_once()))
+            .collect::<Result<Vec<_>, _>>()?;
+        let rows = self.manifest.asked.rows;
+        let mut sinks = Sinks::new(self, file, &streams, part.is_some())?;
+        let seam_of: BTreeMap<i32, usize> = (self.seams.iter().enumerate())
+            .map(|(k, seam)| (seam.block as i32, k))
+            .collect();
+        let damaged = |k: usize| self.sources[k].damaged("shard_points");
+
+        let mut heap = BinaryHeap::new();
+        for (k, stream) in streams.iter_mut().enumerate() {
+            if let Some(index) = self.next_of(stream, k)? {
+                heap.push(Reverse((index, k)));
+            }
+        }
+        let mut counted = Counted::default();
+        let mut next = 0usize;
+        while let Some(Reverse((index, k))) = heap.pop() {
+            // Each state has one number, and each part has them in order.
+            let index = usize::try_from(index).map_err(|_| damaged(k))?;
+            if index < next || index >= rows {
+                return Err(damaged(k));
+            }
+            if part.is_none() {
+                self.nothing(&mut sinks, &mut counted, next..index)?;
+            }
+            next = index + 1;
+            let stream = &mut streams[k];
+            let block = stream.block()?;
+            let seam = *seam_of.get(&block).ok_or_else(|| damaged(k))?;
+            let number = |of: &[Vec<i32>], sheet: i32| -> Option<i32> {
+                of[seam].get(usize::try_from(sheet).ok()?).copied()
+            };
+            let numbers = |sheet: i32| match sheet {
+                -1 => Some((-1, -1)),
+                sheet => Some((
+                    number(&joined.sheet, sheet)?,
+                    number(&joined.lifted, sheet)?,
+                )),
+            };
+            if let Some(part) = &mut part {
+                part.index.push(index as i32);
+                part.block.push(block);
+                part.sheet.push(stream.place.whole(2)?);
+                part.again.push(stream.place.whole(3)?);
+            }
+            sinks
+                .row(
+                    self,
+                    stream,
+                    index,
+                    &numbers,
+                    (&mut counted, part.as_deref_mut()),
+                )?
+                .ok_or_else(|| damaged(k))?;
+            stream.advance();
+            if let Some(index) = self.next_of(stream, k)? {
+                heap.push(Reverse((index, k)));
+            }
+        }
+        if part.is_none() {
+            self.nothing(&mut sinks, &mut counted, next..rows)?;
+        }
+        sinks.flush()?;
+        Ok(counted)
+    }
+
+    /// The number of a part's next state that is taken from it; `None` where there is none.
+    fn next_of(&self, stream: &mut Stream, k: usize) -> Result<Option<i32>, RunError> {
+        while let Some(index) = stream.index()? {
+            let block = stream.block()?;
+            if self.from.get(&block) == Some(&k) {
+                return Ok(Some(index));
+            }
+            stream.skip()?;
+        }
+        Ok(None)
+    }
+
+    /// States that no part has.
+    fn nothing(
+        &self,
+        sinks: &mut Sinks,
+        counted: &mut Counted,
+        rows: std::ops::Range<usize>,
+    ) -> Result<(), RunError> {
+        for row in rows {
+            sinks.nothing(self, row)?;
+            let name = PointStatus::NotMerged.name().to_owned();
+            *counted.status.entry(name).or_insert(0) += 1;
+        }
+        Ok(())
+    }
+
+    fn summary(
+        &self,
+        joined: &Joined,
+        counted: Counted,
+        (edges, solutions): (&Answers, usize),
+        (stopped, out): (bool, &Path),
+    ) -> RunSummary {
+        let mut parts: Vec<RunSummary> = (self.sources.iter())
+            .filter_map(|source| source.stored.run_summary().ok().flatten())
+            .collect();
+        let errors: Vec<SolvedErrors> = (parts.iter())
+            .filter_map(|part| part.homotopy.as_ref()?.error_estimate.clone())
+            .collect();
+        let seconds: f64 = self.seams.iter().map(|s| s.seconds).sum();
+        let distinct: i32 = self.groups(ShardGroups::default()).states.iter().sum();
+        let wall: f64 = parts.iter().map(|part| part.wall_seconds).sum();
+        let met = parts.iter().map(|part| part.error_met);
+        let met: Vec<Option<bool>> = met.collect();
+        let solved = SolvedSummary {
+            states: self.manifest.asked.rows,
+            distinct: distinct.max(0) as usize,
+            status: counted.status,
+            solutions,
+            sheets: joined.sheets,
+            equal_cost_points: edges.equal_cost.len(),
+            fold_points: edges.folds.len(),
+            largest_residual: counted.residual,
+            hamiltonian_relative: Quantiles::of(&counted.hamiltonian),
+            error_estimate: largest(&errors),
+            integrations: self.seams.iter().map(|s| s.evaluations).sum(),
+            seconds,
+            states_per_second: f64::from(distinct) / seconds.max(1e-9),
+        };
+        let first = match parts.is_empty() {
+            true => RunSummary::default(),
+            false => parts.swap_remove(0),
+        };
+        RunSummary {
+            title: self.model.title.clone(),
+            file: out.display().to_string(),
+            backend: self.manifest.backend.clone(),
+            precision: self.manifest.precision.clone(),
+            method: self.manifest.method.clone(),
+            stopped,
+            homotopy: Some(solved),
+            wall_seconds: wall,
+            error_met: match met.contains(&Some(false)) {
+                true => Some(false),
+                false => met.iter().copied().flatten().next(),
+            },
+            ..first
+        }
+    }
+}
+
+/// The largest of the errors that parts have estimated: of medians, too.
+fn largest(errors: &[SolvedErrors]) -> Option<SolvedErrors> {
+    let of = |a: Option<f64>, b: Option<f64>| match (a, b) {
+        (Some(a), Some(b)) => Some(a.max(b)),
+        (a, b) => a.or(b),
+    };
+    let both = |a: Option<Quantiles>, b: Option<Quantiles>| match (a, b) {
+        (Some(a), Some(b)) => Some(Quantiles {
+            median: of(a.median, b.median),
+            p99: of(a.p99, b.p99),
+            max: of(a.max, b.max),
+        }),
+        (a, b) => a.or(b),
+    };
+    errors.iter().cloned().reduce(|a, b| SolvedErrors {
+        states: a.states + b.states,
+        failed: a.failed + b.failed,
+        value: both(a.value, b.value),
+        costate: both(a.costate, b.costate),
+        control: both(a.control, b.control),
+        met: match (a.met, b.met) {
+            (Some(a), Some(b)) => Some(a && b),
+            (a, b) => a.or(b),
+        },
+        seconds: a.seconds + b.seconds,
+        ..a
+    })
+}
