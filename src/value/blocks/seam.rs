@@ -8,12 +8,13 @@ use crate::value::fold::Fold;
 use crate::value::nearest;
 use crate::value::solve::{Answers, Entry, EqualCost, Request};
 use crate::value::targets::{Grid, Whole, neighbours_at_once};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Where the states of a block lie: least and largest along each axis.
 pub type Bounds = Vec<[f64; 2]>;
 
-/// States by which a block is compared with another one that is some periods away, and most periods.
+/// States of each sheet by which a block is compared with another one that is some periods away, and
+/// most periods.
 const OF_COPIES: usize = 16;
 const MOST_PERIODS: f64 = 16.0;
 
@@ -112,7 +113,7 @@ impl Seam {
 
         let reach = reach(plan, block, whole);
         let mut is_border = border(plan, block, (whole, &request.grids), &reach);
-        for local in beside_copies(plan, (number, block), (whole, boxes)) {
+        for local in beside_copies(plan, (number, block), (whole, boxes), answers) {
             is_border[local] = true;
         }
         // Ways between single states are followed from the cheapest alone, where two cost the same.
@@ -238,6 +239,7 @@ fn beside_copies(
     plan: &Plan,
     (number, block): (usize, &Block),
     (whole, boxes): (&Whole<'_>, &[Bounds]),
+    answers: &Answers,
 ) -> BTreeSet<usize> {
     let n = plan.system.states;
     let mut found = BTreeSet::new();
@@ -267,7 +269,17 @@ fn beside_copies(
                 .map(|local| (far(local), local))
                 .collect();
             near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            found.extend(near.iter().take(OF_COPIES).map(|(_, local)| *local));
+            // Of each sheet, one way round, some: what lies over the middle need not be all there is.
+            let mut taken: BTreeMap<(i32, &[i32]), usize> = BTreeMap::new();
+            for (_, local) in near {
+                for entry in answers.of(local) {
+                    let count = taken.entry((entry.sheet, &entry.winding)).or_insert(0);
+                    if *count < OF_COPIES {
+                        *count += 1;
+                        found.insert(local);
+                    }
+                }
+            }
         }
     }
     found
