@@ -12,7 +12,7 @@ use crate::result::{RunRecord, ShardGroups, TrajectorySchema};
 use crate::session::summary::{Quantiles, RunSummary, SolvedErrors, SolvedSummary};
 use crate::session::{Session, SessionError, Wanted};
 use crate::sweep::Plan;
-use crate::value::blocks::{Joined, Seam, Wanting, join, lines};
+use crate::value::blocks::{Joined, Seam, Wanting, edges, join};
 use crate::value::{self, Answers, Grid, PointStatus, Request};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
@@ -61,10 +61,15 @@ pub(super) fn assemble(
     let mut file = ResultFile::create(out)?;
     let mut groups = is_part.then(ShardGroups::default);
     let counted = whole.write_rows(&mut file, &joined, groups.as_mut())?;
-    let (edges, solutions) = whole.edges(&joined);
+    let (equal_cost, folds) = edges(&whole.seams, &joined, &whole.request.grids);
+    let edges = Answers {
+        equal_cost,
+        folds,
+        ..Answers::default()
+    };
     file.sheet_edges(&whole.schema, &edges)?;
     let is_whole = matches!(into, Into::Whole(None) | Into::Part(_, true));
-    let summary = whole.summary(&joined, counted, (&edges, solutions), (!is_whole, out));
+    let summary = whole.summary(&joined, counted, &edges, (!is_whole, out));
     file.attribute("summary", in_json(&summary))?;
     if !is_whole {
         file.attribute("stopped", 1i64)?;
@@ -178,25 +183,6 @@ impl<'s> Whole<'s> {
             seams,
             from,
         })
-    }
-
-    /// Where two sheets cost the same, and folds, over all parts; and how many solutions there are.
-    fn edges(&self, joined: &Joined) -> (Answers, usize) {
-        let mut all = Answers::default();
-        for (k, seam) in self.seams.iter().enumerate() {
-            let number = |s: i32| joined.sheet[k][s as usize];
-            all.equal_cost
-                .extend(seam.crossings.iter().cloned().map(|mut one| {
-                    one.renumber(number);
-                    one
-                }));
-            all.folds.extend(seam.folds.iter().cloned());
-        }
-        all.equal_cost.extend(joined.crossings.iter().cloned());
-        all.equal_cost.sort_by_key(|e| e.point.between);
-        lines(&mut all.equal_cost, &self.request.grids);
-        let solutions = self.seams.iter().map(|s| s.solutions).sum();
-        (all, solutions)
     }
 
     /// The groups of a part that has these rows.
@@ -337,7 +323,7 @@ impl<'s> Whole<'s> {
         &self,
         joined: &Joined,
         counted: Counted,
-        (edges, solutions): (&Answers, usize),
+        edges: &Answers,
         (stopped, out): (bool, &Path),
     ) -> RunSummary {
         let mut parts: Vec<RunSummary> = (self.sources.iter())
@@ -355,7 +341,7 @@ impl<'s> Whole<'s> {
             states: self.manifest.asked.rows,
             distinct: distinct.max(0) as usize,
             status: counted.status,
-            solutions,
+            solutions: self.seams.iter().map(|s| s.solutions).sum(),
             sheets: joined.sheets,
             equal_cost_points: edges.equal_cost.len(),
             fold_points: edges.folds.len(),

@@ -8,6 +8,7 @@ use crate::sweep::Plan;
 use crate::value::approach::{Approach, follow};
 use crate::value::equal_cost::{BoundaryPoint, along_lines};
 use crate::value::extremal::{Extremal, misfit, same};
+use crate::value::fold::Fold;
 use crate::value::nearest;
 use crate::value::solve::{EqualCost, Request, value_max, with_controls};
 use crate::value::survey::{Sheets, Survey, Wanted};
@@ -411,9 +412,25 @@ fn follow_ways(
     Ok(())
 }
 
+/// Where two sheets cost the same, within blocks and between them, with its lines over the cells of
+/// grids; and the folds of all blocks.
+pub fn edges(seams: &[Seam], joined: &Joined, grids: &[Grid]) -> (Vec<EqualCost>, Vec<Fold>) {
+    let (mut points, mut folds) = (joined.crossings.clone(), Vec::new());
+    for (seam, number) in seams.iter().zip(&joined.sheet) {
+        points.extend(seam.crossings.iter().cloned().map(|mut one| {
+            one.renumber(|sheet| number[sheet as usize]);
+            one
+        }));
+        folds.extend(seam.folds.iter().cloned());
+    }
+    points.sort_by_key(|one| one.point.between);
+    lines(&mut points, grids);
+    (points, folds)
+}
+
 /// Joins points where two sheets cost the same to lines over the cells of grids. `between` of each
 /// are the lowest numbers of the states given there.
-pub fn lines(points: &mut [EqualCost], grids: &[Grid]) {
+fn lines(points: &mut [EqualCost], grids: &[Grid]) {
     for one in points.iter_mut() {
         (one.point.line, one.point.place) = (-1, -1);
     }

@@ -11,7 +11,7 @@ mod numbers;
 mod seam;
 mod solve;
 
-pub use join::{Joined, Wanting, join, lines};
+pub use join::{Joined, Wanting, edges, join};
 pub use seam::{BorderEntry, BorderState, Bounds, Seam, SheetOf};
 pub use solve::{Blocks, Found, Keeper, NoKeeper, Sweep};
 
@@ -221,15 +221,6 @@ impl<'g> Gathering<'g> {
                 (entry.sheet, entry.lifted) = (joined.sheet[k][sheet], joined.lifted[k][sheet]);
             }
         }
-        for (k, seam) in self.seams.iter().enumerate() {
-            let number = |s: i32| joined.sheet[k][s as usize];
-            all.equal_cost
-                .extend(seam.crossings.iter().cloned().map(|mut one| {
-                    one.renumber(number);
-                    one
-                }));
-            all.folds.extend(seam.folds.iter().cloned());
-        }
         let mut entries: Vec<std::vec::IntoIter<super::Entry>> = (blocks.iter_mut())
             .map(|a| std::mem::take(&mut a.entries).into_iter())
             .collect();
@@ -252,9 +243,7 @@ impl<'g> Gathering<'g> {
         }
         let has_principal = blocks.iter().any(|a| a.principal.is_some());
         all.principal = has_principal.then_some(principal);
-        all.equal_cost.extend(joined.crossings);
-        all.equal_cost.sort_by_key(|e| e.point.between);
-        lines(&mut all.equal_cost, self.grids);
+        (all.equal_cost, all.folds) = edges(&self.seams, &joined, self.grids);
         (all.sheets, all.lifted) = (joined.sheets, joined.lifted_sheets);
         Found {
             answers: all,

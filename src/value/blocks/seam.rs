@@ -101,11 +101,9 @@ impl Seam {
                 }
                 for other in &here[k + 1..] {
                     if other.winding == entry.winding && other.sheet != entry.sheet {
-                        let pair = [entry.sheet, other.sheet];
-                        apart.insert([
-                            *pair.iter().min().unwrap_or(&0),
-                            *pair.iter().max().unwrap_or(&0),
-                        ]);
+                        let mut pair = [entry.sheet, other.sheet];
+                        pair.sort_unstable();
+                        apart.insert(pair);
                     }
                 }
             }

@@ -182,7 +182,8 @@ def _attributes(item) -> dict:
     return {k: _attribute(v) for k, v in item.attrs.items() if k not in _PLUMBING}
 
 
-def _variable(dataset):
+def _variable(dataset, later=None):
+    """``later``: what makes an array that is not read yet, or None where it is small."""
     import h5py
     import xarray as xr
 
@@ -194,21 +195,22 @@ def _variable(dataset):
     if h5py.check_string_dtype(dataset.dtype) is not None:
         data = dataset.asstr()[()].astype(object)
     else:
-        data = dataset[()]
+        data = None if later is None else later(dataset)
+        data = dataset[()] if data is None else data
     return xr.Variable(dimensions, data, _attributes(dataset))
 
 
-def _dataset(group):
+def _dataset(group, later=None):
     import xarray as xr
 
-    variables = {name: _variable(item) for name, item in group.items()}
+    variables = {name: _variable(item, later) for name, item in group.items()}
     names = {d for v in variables.values() for d in v.dims}
 
     def is_coordinate(name):
         # Axes, and what is said of them.
         return name in names or name.endswith(("_units", "_long_name"))
 
-    coordinates = {k: v for k, v in variables.items() if is_coordinate(k)}
+    coordinates = {k: v.load() for k, v in variables.items() if is_coordinate(k)}
     return xr.Dataset(
         {k: v for k, v in variables.items() if k not in coordinates},
         coords=coordinates,
@@ -222,7 +224,7 @@ def _held(thing, file: ResultFile):
     return thing
 
 
-def dataset(file: ResultFile, name: str):
+def dataset(file: ResultFile, name: str, later=None):
     """A group as an ``xarray.Dataset``; the root's attributes come after its own."""
     import h5py
 
@@ -230,7 +232,7 @@ def dataset(file: ResultFile, name: str):
         if name not in stored:
             there = ", ".join(stored) or "none"
             raise InputError(f"{file.path} has no group /{name} (there: {there})")
-        made = _dataset(stored[name])
+        made = _dataset(stored[name], later)
         made.attrs = {**_attributes(stored), **made.attrs}
     return _held(made, file)
 
@@ -256,27 +258,15 @@ _LARGE, _PIECE = 4096, 1 << 20
 def lazy(file: ResultFile, name: str):
     """The same as :func:`dataset`, with arrays of Dask that read the file when they are computed."""
     import dask.array
-    import h5py
-    import xarray as xr
 
-    with h5py.File(file.path) as stored:
-        made = xr.Dataset(attrs={**_attributes(stored), **_attributes(stored[name])})
-        variables = {}
-        for key, item in stored[name].items():
-            if item.size < _LARGE or h5py.check_string_dtype(item.dtype) is not None:
-                variables[key] = _variable(item)
-                continue
-            inner = item.size // item.shape[0]
-            chunks = (max(1, _PIECE // max(inner, 1)), *item.shape[1:])
-            later = dask.array.from_array(_Later(file.path, item), chunks=chunks, asarray=True, name=False)
-            dims = [d[0].name.rsplit("/", 1)[-1] if len(d) else item.name.rsplit("/", 1)[-1] for d in item.dims]
-            variables[key] = xr.Variable(dims, later, _attributes(item))
-    dims = {d for v in variables.values() for d in v.dims}
-    coords = {k: v for k, v in variables.items() if k in dims or k.endswith(("_units", "_long_name"))}
-    for k in dims & set(coords):
-        coords[k] = coords[k].load()
-    made = made.assign({k: v for k, v in variables.items() if k not in coords}).assign_coords(coords)
-    return _held(made, file)
+    def later(item):
+        if item.size < _LARGE:
+            return None
+        inner = item.size // item.shape[0]
+        chunks = (max(1, _PIECE // max(inner, 1)), *item.shape[1:])
+        return dask.array.from_array(_Later(file.path, item), chunks=chunks, asarray=True, name=False)
+
+    return dataset(file, name, later)
 
 
 def tree(file: ResultFile):
