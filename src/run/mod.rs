@@ -35,7 +35,9 @@ pub use fit::{FittedFiles, LawFiles, fit_stored};
 pub use laws::{LawsDone, check as check_laws};
 pub use parts::write_attenuation;
 use parts::write_study;
-pub use shard::{Asked, Kind, Manifest, MergeError, MergeOptions, Merged, StudyDone, merge, study};
+pub use shard::{
+    Asked, Kind, Manifest, MergeError, MergeOptions, Merged, StudyDone, listed, merge, study,
+};
 pub use sources::{fitted_laws, other_scene, sources, weights};
 
 use crate::files::{Draft, target};

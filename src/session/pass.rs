@@ -98,6 +98,25 @@ pub struct Part {
 }
 
 impl Outcome {
+    /// Of what is not begun.
+    fn nothing(plan: Plan, targets: Option<Targets>) -> Self {
+        Self {
+            swept: SweepReport::default(),
+            stored: false,
+            trajectories: false,
+            answers: None,
+            listed: 0,
+            sampled: None,
+            mapped: None,
+            variants: Vec::new(),
+            estimates: Estimates::default(),
+            stopped: false,
+            part: None,
+            targets,
+            plan,
+        }
+    }
+
     /// The solution of least V at a state that was asked for (by its number: those of a list first,
     /// then of `[homotopy]` and `[map]`); `None` where there is none. (`answers` has each state
     /// once, in an order of its own.)
@@ -278,6 +297,11 @@ impl<'s> Pass<'s> {
         self.done = done;
     }
 
+    /// Nothing is done, since all was before.
+    pub(crate) fn nothing(self) -> Outcome {
+        Outcome::nothing(self.plan, self.targets)
+    }
+
     /// Keeps what is done, now and then.
     pub(crate) fn keeping(&mut self, checkpoint: Checkpoint<'s>) {
         self.checkpoint = Some(checkpoint);
@@ -317,19 +341,9 @@ impl Pass<'_> {
             ..
         } = self;
         let mut outcome = Outcome {
-            swept: SweepReport::default(),
             stored,
             trajectories: stores_sweep,
-            answers: None,
-            listed: 0,
-            sampled: None,
-            mapped: None,
-            variants: Vec::new(),
-            estimates: Estimates::default(),
-            stopped: false,
-            part: None,
-            targets,
-            plan,
+            ..Outcome::nothing(plan, targets)
         };
 
         let solves = outcome.targets.is_some() || aim.is_some();

@@ -27,6 +27,29 @@ pub struct Asked {
     pub states: String,
 }
 
+impl Asked {
+    /// All but the states themselves, in words.
+    fn in_words(&self) -> String {
+        let of = match (self.listed, self.of_map) {
+            (true, _) => "of a list",
+            (false, true) => "of [map]",
+            (false, false) => "of [homotopy] and [map]",
+        };
+        let sheets = match self.one_sheet {
+            true => "one solution each",
+            false => "every sheet",
+        };
+        let mut words = format!("{of}, {sheets}");
+        if let Some(samples) = self.samples {
+            words += &format!(", trajectories of {samples} points");
+        }
+        if self.grid_guesses {
+            words += ", guesses from a grid";
+        }
+        words
+    }
+}
+
 /// What is divided.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -145,6 +168,22 @@ impl Manifest {
         serde_json::from_str(&stored.attribute(super::MANIFEST)?).ok()
     }
 
+    /// That of a whole; `None` where a file does not tell what it is the whole of.
+    #[must_use]
+    pub fn of_whole(stored: &Stored) -> Option<Self> {
+        serde_json::from_str(&stored.attribute(super::WHOLE)?).ok()
+    }
+
+    /// The same of all that it is a part of.
+    #[must_use]
+    pub fn whole(&self) -> Self {
+        Self {
+            shard: 0,
+            shards: 1,
+            ..self.clone()
+        }
+    }
+
     /// What tells another part of another whole, in words, with both; `None` where they are of one.
     #[must_use]
     pub fn differs(&self, other: &Self) -> Option<(&'static str, String, String)> {
@@ -158,10 +197,6 @@ impl Manifest {
     /// What is the same in all parts, in words.
     fn named(&self) -> [(&'static str, String); 11] {
         let asked = &self.asked;
-        let options = format!(
-            "one solution a state: {}, points a trajectory: {:?}, guesses from a grid: {}",
-            asked.one_sheet, asked.samples, asked.grid_guesses
-        );
         [
             ("kind of work", format!("{:?}", self.of).to_lowercase()),
             ("version of costate", self.version.clone()),
@@ -170,7 +205,7 @@ impl Manifest {
             ("number of shards", self.shards.to_string()),
             ("number of states", asked.rows.to_string()),
             ("list of states", asked.states.clone()),
-            ("options", options),
+            ("what is asked of the states", asked.in_words()),
             (
                 "backend and precision",
                 format!("{}, {}", self.backend, self.precision),

@@ -90,12 +90,18 @@ pub enum MergeError {
         now: String,
         then: String,
     },
+    #[error(
+        "{path} is of other work, which cannot be gone on with: leave --resume out to write over it, or name another --out",
+        path = path.display()
+    )]
+    OtherWork { path: PathBuf },
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
 }
 
 /// Numbers, with ranges where several follow each other: `0, 3-7, 9`.
-pub(super) fn listed(numbers: &[usize]) -> String {
+#[must_use]
+pub fn listed(numbers: &[usize]) -> String {
     let mut runs: Vec<(usize, usize)> = Vec::new();
     for &n in numbers {
         match runs.last_mut() {
@@ -139,6 +145,7 @@ pub fn merge(
             let (file, summary) =
                 study::assemble(&session, &sources, (gaps.is_some(), out), provenance)?;
             note_gaps(&file, gaps)?;
+            super::write_whole(&file, &first.manifest)?;
             (session.finish(file, provenance)?, summary)
         }
     };

@@ -1,5 +1,6 @@
 //! Files of parts of the whole: what each says of itself, and how they become one.
 
+mod before;
 mod manifest;
 mod merge;
 mod part;
@@ -10,7 +11,7 @@ mod study;
 mod whole;
 
 pub use manifest::{Asked, Kind, Manifest};
-pub use merge::{MergeError, MergeOptions, Merged, merge};
+pub use merge::{MergeError, MergeOptions, Merged, listed, merge};
 pub(super) use part::run;
 pub use study::{StudyDone, study};
 
@@ -21,8 +22,9 @@ use crate::session::Part;
 use crate::value::Answers;
 use crate::value::blocks::Seam;
 
-/// The root attribute that the manifest is in.
+/// The root attributes that the manifests of parts and of wholes are in.
 const MANIFEST: &str = "manifest";
+const WHOLE: &str = "whole";
 
 /// Writes the states that were solved for as a part of the whole: all of them to `/points`, those
 /// of a map too, with what is needed to put parts together.
@@ -48,6 +50,15 @@ pub(super) fn write_manifest(file: &ResultFile, manifest: &Manifest) -> Result<(
     file.attribute("shards", manifest.shards as i64)?;
     let text = serde_json::to_string(manifest).unwrap_or_default();
     Ok(file.attribute(MANIFEST, text)?)
+}
+
+/// Notes what a file is the whole of.
+///
+/// # Errors
+/// Those of writing.
+pub(super) fn write_whole(file: &ResultFile, manifest: &Manifest) -> Result<(), RunError> {
+    let text = serde_json::to_string(&manifest.whole()).unwrap_or_default();
+    Ok(file.attribute(WHOLE, text)?)
 }
 
 /// Where the rows of a part belong.

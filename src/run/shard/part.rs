@@ -1,28 +1,27 @@
 //! A run of which what is done can be kept, and gone on with: a part of the whole, or all of it.
 
 use super::super::{
-    Done, LawsDone, Provenance, RunError, in_json, note_replaced, path_of_stopped,
-    trajectory_schema, write_estimates, write_outcome, write_sampled,
+    Done, LawsDone, Provenance, RunError, in_json, trajectory_schema, write_estimates,
+    write_outcome, write_sampled,
 };
+use super::before::{Before, note_kept};
 use super::manifest::Manifest;
-use super::merge::MergeError;
 use super::source::Source;
 use super::whole::{Into, assemble};
-use super::{write_manifest, write_states};
+use super::{write_manifest, write_states, write_whole};
 use crate::backend::cpu::Cpu;
 use crate::files::{Draft, target};
 use crate::hdf5::ResultFile;
 use crate::result::{RunRecord, TrajectorySchema};
 use crate::session::summary::RunSummary;
 use crate::session::{
-    Checkpoint, Finished, Outcome, Part, Pass, Resume, Session, SessionError, SoFar, Wanted,
+    Checkpoint, Finished, Outcome, Part, Pass, Session, SessionError, SoFar, Wanted,
 };
 use crate::sweep::Plan;
 use crate::value::Answers;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
-/// What a run is, and where it goes.
+/// What a run is.
 #[derive(Clone)]
 struct Work<'s> {
     session: &'s Session<'s>,
@@ -30,9 +29,6 @@ struct Work<'s> {
     provenance: Provenance,
     manifest: Manifest,
     schema: TrajectorySchema,
-    /// The result, and where it is while it is not finished.
-    path: PathBuf,
-    unfinished: PathBuf,
 }
 
 /// Runs a pass over states, keeping what is done; another pass as it is.
@@ -52,49 +48,57 @@ pub(in crate::run) fn run<'s>(
     let Some(states) = pass.states() else {
         return session.run_whole(wanted, pass, path, provenance);
     };
-    let path = target(path)?;
-    let mut work = Work {
-        unfinished: path_of_stopped(&path),
+    let work = Work {
         manifest: Manifest::of(session, wanted, &states, provenance),
         schema: trajectory_schema(model, pass.plan()),
         wanted: wanted.clone(),
         provenance: provenance.clone(),
         session,
-        path,
     };
+    let path = target(path)?;
     // What is wrong with the place is told before the work is done.
-    drop(Draft::begin(&work.path)?);
-    let before = match wanted.resume {
-        Resume::Now(_) => work.before()?,
-        Resume::Never | Resume::Later(_) => Vec::new(),
-    };
-    if before.iter().any(|source| source.stored.path == work.path) {
-        work.unfinished.clone_from(&work.path);
+    drop(Draft::begin(&path)?);
+    let mut before = Before::at(&path, &work.manifest, wanted.resume)?;
+    if let Some(stored) = &before.finished {
+        before.note_finished(session);
+        before.clear(&work.manifest);
+        let outcome = pass.nothing();
+        return Ok(Done {
+            record: work.record(&outcome.plan),
+            laws: LawsDone::default(),
+            summary: stored.run_summary()?.unwrap_or_default(),
+            outcome,
+            path,
+        });
     }
     (session.progress()).begun(model, pass.plan(), session.backend());
-    let done: Vec<usize> = before.iter().flat_map(Source::units_done).collect();
+    let done: Vec<usize> = (before.sources.iter())
+        .flat_map(Source::units_done)
+        .collect();
     if !done.is_empty() {
         let (some, of) = (done.len(), work.manifest.units);
         let note = format!("{some} blocks of states, of {of} in all, were done before");
         session.progress().note(&note);
     }
     pass.without(done);
-    let kept: Vec<PathBuf> = before
-        .iter()
-        .map(|source| source.stored.path.clone())
-        .collect();
-    if let Resume::Later(seconds) | Resume::Now(seconds) = wanted.resume {
-        let every = Duration::from_secs(seconds.into());
-        let (work, kept) = (work.clone(), kept.clone());
-        let keep = move |so_far: &SoFar<'_>| work.keep(so_far, &kept);
+    if let Some(every) = before.every {
+        let (work, kept) = (work.clone(), before.kept.clone());
+        let to = before.unfinished.clone();
+        let keep = move |so_far: &SoFar<'_>| {
+            note_kept(work.session, &to, work.keep(so_far, &kept, &to));
+        };
         pass.keeping(Checkpoint::new(every, Box::new(keep)));
     }
 
     let outcome = pass.perform::<RunError>(&mut |_| Ok(()))?;
-    let (path, summary) = work.write(&outcome, before)?;
+    let (path, summary) = work.write(&outcome, &mut before)?;
     (session.progress()).finished(Finished::Solved(&outcome, model));
-    if !outcome.stopped {
-        work.clear(&kept);
+    match (outcome.stopped, &outcome.part) {
+        (false, _) => before.clear(&work.manifest),
+        (true, Some(part)) if !part.is_done.contains(&true) => session.progress().note(
+            "no block of states was finished in this time, and nothing of a block is kept before: with --resume and the same time limit no more would be",
+        ),
+        (true, _) => {}
     }
     Ok(Done {
         record: work.record(&outcome.plan),
@@ -106,68 +110,36 @@ pub(in crate::run) fn run<'s>(
 }
 
 impl Work<'_> {
-    /// What earlier runs of the same have kept.
-    fn before(&self) -> Result<Vec<Source>, RunError> {
-        let mut found = Vec::new();
-        let beside = super::super::stopped_beside(&self.path);
-        for path in [&self.path, &beside]
-            .into_iter()
-            .filter(|path| path.exists())
-        {
-            let source = match Source::open(path) {
-                Ok(source) => source,
-                // The whole, or something else: it is not gone on with.
-                Err(RunError::Merge(MergeError::NoPart { .. })) => continue,
-                Err(error) => return Err(error),
-            };
-            source.is_of(&self.manifest)?;
-            found.push(source);
-        }
-        Ok(found)
-    }
-
-    /// Keeps what is done by now; what is wrong with that is said, and the work goes on.
-    fn keep(&self, so_far: &SoFar<'_>, before: &[PathBuf]) {
-        let kept = || -> Result<(), RunError> {
-            let before = (before.iter())
-                .map(|path| Source::open(path))
-                .collect::<Result<Vec<_>, _>>()?;
-            let states = (so_far.plan, so_far.answers, so_far.part);
-            self.write_part(states, (before, true), &self.unfinished, &mut |_| Ok(None))?;
-            Ok(())
-        };
-        if let Err(error) = kept() {
-            let path = self.unfinished.display();
-            (self.session.progress()).note(&format!(
-                "what is done could not be kept in {path}: {error}"
-            ));
-        }
+    /// Keeps what is done by now, with what was done before.
+    fn keep(&self, so_far: &SoFar<'_>, before: &[PathBuf], to: &Path) -> Result<(), RunError> {
+        let before = (before.iter())
+            .map(|path| Source::open(path))
+            .collect::<Result<Vec<_>, _>>()?;
+        let states = (so_far.plan, so_far.answers, so_far.part);
+        self.write_part(states, (before, true), to, &mut |_| Ok(None))?;
+        Ok(())
     }
 
     /// Writes what came of a run, with what was done before.
     fn write(
         &self,
         outcome: &Outcome,
-        before: Vec<Source>,
+        before: &mut Before,
     ) -> Result<(PathBuf, RunSummary), RunError> {
         let (Some(answers), Some(part)) = (&outcome.answers, &outcome.part) else {
             // Nothing was come to.
             return Err(SessionError::Backend(crate::backend::BackendError::OutOfTime).into());
         };
         let model = &self.session.scene().model;
-        let to = match outcome.stopped {
-            true => &self.unfinished,
-            false => &self.path,
-        };
-        if outcome.stopped && before.is_empty() {
-            note_replaced(self.session, to);
-        }
-        if before.is_empty() && !outcome.stopped && self.wanted.shard.is_none() {
+        let sources = std::mem::take(&mut before.sources);
+        let to = before.place(self.session, outcome.stopped);
+        if sources.is_empty() && !outcome.stopped && self.wanted.shard.is_none() {
             let mut file = ResultFile::create(to)?;
             write_outcome(&mut file, outcome, model, &self.schema)?;
             write_estimates(&file, &outcome.estimates)?;
             let summary = self.summary(outcome, to);
             file.attribute("summary", in_json(&summary))?;
+            write_whole(&file, &self.manifest)?;
             self.record(&outcome.plan).write(&file)?;
             return Ok((file.finish()?, summary));
         }
@@ -187,7 +159,7 @@ impl Work<'_> {
             }
             Ok(Some(self.summary(outcome, to)))
         };
-        self.write_part(states, (before, outcome.stopped), to, &mut more)
+        self.write_part(states, (sources, outcome.stopped), to, &mut more)
     }
 
     /// Writes a part, with others of the same shard, as one part; or, if that is all there is, as
@@ -234,17 +206,6 @@ impl Work<'_> {
         }
         self.record(plan).write(&file)?;
         Ok((file.finish()?, summary.unwrap_or_default()))
-    }
-
-    /// Removes what was kept of a run that is in its result now.
-    fn clear(&self, kept: &[PathBuf]) {
-        let others = kept.iter().chain([&self.unfinished]);
-        for other in others.filter(|other| **other != self.path && other.exists()) {
-            let is_ours = Source::open(other).is_ok_and(|s| s.manifest == self.manifest);
-            if is_ours {
-                let _ = std::fs::remove_file(other);
-            }
-        }
     }
 
     fn summary(&self, outcome: &Outcome, path: &Path) -> RunSummary {

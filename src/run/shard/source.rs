@@ -61,13 +61,20 @@ impl Source {
     /// # Errors
     /// [`MergeError::Other`] where it is not.
     pub fn is_of(&self, manifest: &Manifest) -> Result<(), MergeError> {
-        let other = &self.manifest;
+        Self::same(&self.path(), manifest, &self.manifest)
+    }
+
+    /// The same of a file that tells of itself what it is.
+    ///
+    /// # Errors
+    /// [`MergeError::Other`] where it is not.
+    pub fn same(path: &Path, manifest: &Manifest, other: &Manifest) -> Result<(), MergeError> {
         let differs = manifest.differs(other).or_else(|| {
             let shard = |m: &Manifest| format!("{}/{}", m.shard, m.shards);
             let (a, b) = (shard(manifest), shard(other));
             (a != b).then_some(("shard", a, b))
         });
-        let path = self.path();
+        let path = path.to_owned();
         match differs {
             Some((what, now, then)) => Err(MergeError::Other {
                 path,
@@ -77,11 +84,6 @@ impl Source {
             }),
             None => Ok(()),
         }
-    }
-
-    /// The numbers of its units.
-    pub fn numbers(&self) -> Vec<usize> {
-        self.number.iter().map(|k| (*k).max(0) as usize).collect()
     }
 
     /// The units that are done.

@@ -1,12 +1,11 @@
 //! Parts of a study: variants of it.
 
-use super::super::{
-    Provenance, RunError, note_replaced, path_of_stopped, stopped_beside, write_study,
-};
+use super::super::{Provenance, RunError, write_study};
+use super::before::{Before, note_kept};
 use super::manifest::Manifest;
 use super::merge::MergeError;
 use super::source::Source;
-use super::write_manifest;
+use super::{write_manifest, write_whole};
 use crate::files::{Draft, target};
 use crate::hdf5::ResultFile;
 use crate::model::{Model, Study};
@@ -19,7 +18,7 @@ use crate::trajectories::TrajectoryBlock;
 use crate::value::PointStatus;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Variants by their numbers.
 type Variants = BTreeMap<usize, Variant>;
@@ -50,22 +49,26 @@ pub fn study(
     let path = target(path)?;
     drop(Draft::begin(&path)?);
     let manifest = Manifest::of_study(session, shard, count, provenance);
-    let mut known = Variants::new();
-    let mut kept = Vec::new();
-    if let Resume::Now(_) = resume {
-        for (source, own) in before(&manifest, &path)? {
-            known.extend(own);
-            kept.push(source);
-        }
-        if !known.is_empty() {
-            let note = format!("{} variants were done before", known.len());
-            session.progress().note(&note);
-        }
+    let before = Before::at(&path, &manifest, resume)?;
+    if let Some(stored) = &before.finished {
+        before.note_finished(session);
+        before.clear(&manifest);
+        return Ok(StudyDone {
+            variants: read(stored)?.into_values().collect(),
+            stopped: false,
+            path,
+        });
     }
-    let unfinished = match kept.contains(&path) {
-        true => path.clone(),
-        false => path_of_stopped(&path),
-    };
+    let mut known = Variants::new();
+    for source in &before.sources {
+        let done: Vec<usize> = source.units_done().collect();
+        let own = read(&source.stored)?.into_iter();
+        known.extend(own.filter(|(k, _)| done.contains(k)));
+    }
+    if !known.is_empty() {
+        let note = format!("{} variants were done before", known.len());
+        session.progress().note(&note);
+    }
     let own = shard.map_or_else(|| (0..count).collect(), |shard| shard.own(count));
     let left: Vec<usize> = own
         .iter()
@@ -73,81 +76,40 @@ pub fn study(
         .filter(|k| !known.contains_key(k))
         .collect();
 
-    let every = match resume {
-        Resume::Never => None,
-        Resume::Later(seconds) | Resume::Now(seconds) => Some(Duration::from_secs(seconds.into())),
-    };
     let mut last = Instant::now();
+    let part = Part {
+        session,
+        manifest: &manifest,
+        provenance,
+    };
     let mut keep = |done: &[Variant]| {
-        if every.is_none_or(|every| last.elapsed() < every) || done.len() == left.len() {
+        let is_due = before.every.is_some_and(|every| last.elapsed() >= every);
+        if !is_due || done.len() == left.len() {
             return;
         }
         let mut so_far = known.clone();
         so_far.extend(left.iter().copied().zip(done.iter().cloned()));
-        let part = Part {
-            session,
-            manifest: &manifest,
-            provenance,
-        };
-        if let Err(error) = part.write(&so_far, &unfinished, true) {
-            let path = unfinished.display();
-            let note = format!("what is done could not be kept in {path}: {error}");
-            session.progress().note(&note);
-        }
+        let kept = part.write(&so_far, &before.unfinished, true).map(drop);
+        note_kept(session, &before.unfinished, kept);
         last = Instant::now();
     };
     let made = session.some_variants(&left, &mut keep)?;
     known.extend(left.into_iter().zip(made));
 
     let stopped = session.is_over();
-    let part = Part {
-        session,
-        manifest: &manifest,
-        provenance,
-    };
-    let to = if stopped { &unfinished } else { &path };
-    if stopped && kept.is_empty() {
-        note_replaced(session, to);
-    }
+    let to = before.place(session, stopped);
     let path = match shard.is_some() || stopped {
         true => part.write(&known, to, stopped)?,
-        false => whole(session, known.values(), to, provenance)?,
+        false => part.whole(known.values(), to)?,
     };
     if !stopped {
-        for other in kept
-            .iter()
-            .chain([&unfinished])
-            .filter(|other| **other != path)
-        {
-            if Source::open(other).is_ok_and(|s| s.manifest == manifest) {
-                let _ = std::fs::remove_file(other);
-            }
-        }
+        before.clear(&manifest);
     }
     Ok(StudyDone {
         variants: known.into_values().collect(),
         stopped,
         path,
     })
-}
-
-/// What earlier runs of the same have kept.
-fn before(manifest: &Manifest, path: &Path) -> Result<Vec<(PathBuf, Variants)>, RunError> {
-    let beside = stopped_beside(path);
-    let mut found = Vec::new();
-    for path in [path, &beside].into_iter().filter(|path| path.exists()) {
-        let source = match Source::open(path) {
-            Ok(source) => source,
-            Err(RunError::Merge(MergeError::NoPart { .. })) => continue,
-            Err(error) => return Err(error),
-        };
-        source.is_of(manifest)?;
-        let done: Vec<usize> = source.units_done().collect();
-        let mut variants = read(&source)?;
-        variants.retain(|k, _| done.contains(k));
-        found.push((path.to_owned(), variants));
-    }
-    Ok(found)
 }
 
 /// A part on its way into a file.
@@ -173,18 +135,18 @@ impl Part<'_> {
         write_manifest(&file, self.manifest)?;
         self.session.finish(file, self.provenance)
     }
-}
 
-fn whole<'v>(
-    session: &Session<'_>,
-    variants: impl Iterator<Item = &'v Variant>,
-    to: &Path,
-    provenance: &Provenance,
-) -> Result<PathBuf, RunError> {
-    let mut file = ResultFile::create(to)?;
-    let rows: Vec<Variant> = variants.cloned().collect();
-    write_study(session, &mut file, (&rows, false), provenance)?;
-    session.finish(file, provenance)
+    fn whole<'v>(
+        &self,
+        variants: impl Iterator<Item = &'v Variant>,
+        to: &Path,
+    ) -> Result<PathBuf, RunError> {
+        let mut file = ResultFile::create(to)?;
+        let rows: Vec<Variant> = variants.cloned().collect();
+        write_study(self.session, &mut file, (&rows, false), self.provenance)?;
+        write_whole(&file, self.manifest)?;
+        self.session.finish(file, self.provenance)
+    }
 }
 
 /// Puts parts of a study together.
@@ -201,7 +163,7 @@ pub(super) fn assemble(
     let asked = model.study.as_ref().ok_or(SessionError::NoStudy)?;
     let mut all = Variants::new();
     for source in sources {
-        all.extend(read(source)?);
+        all.extend(read(&source.stored)?);
     }
     for (k, parameters) in combinations(asked).into_iter().enumerate() {
         all.entry(k)
@@ -213,27 +175,32 @@ pub(super) fn assemble(
     Ok((file, summary))
 }
 
-/// The variants in a part, by their numbers.
-fn read(source: &Source) -> Result<Variants, RunError> {
-    let stored = &source.stored;
+/// The variants in a part or in the whole, by their numbers.
+fn read(stored: &Stored) -> Result<Variants, RunError> {
+    let damaged = || MergeError::Damaged {
+        path: stored.path.clone(),
+        group: "study",
+    };
     let model = &stored.scene.model;
-    let asked = model
-        .study
-        .as_ref()
-        .ok_or_else(|| source.damaged("study"))?;
+    let asked = model.study.as_ref().ok_or_else(damaged)?;
     let combinations = combinations(asked);
-    let numbers = source.numbers();
+    let numbers: Vec<usize> = match stored.group(&schema::SHARD) {
+        Some(group) => (group.i32("number")?.1.iter())
+            .map(|k| (*k).max(0) as usize)
+            .collect(),
+        None => (0..combinations.len()).collect(),
+    };
     if numbers.is_empty() {
         return Ok(Variants::new());
     }
     let rows = rows(stored, model, asked, numbers.len())?;
     let mut found = Variants::new();
-    for (&number, variant) in numbers.iter().zip(rows) {
+    for (number, variant) in numbers.into_iter().zip(rows) {
         let parameters = combinations.get(number);
         // They are those of the scene.
         let same = parameters.is_some_and(|own| *own == variant.parameters);
         if !same || found.insert(number, variant).is_some() {
-            return Err(source.damaged("study"));
+            return Err(damaged().into());
         }
     }
     Ok(found)

@@ -80,7 +80,10 @@ pub(super) fn assemble(
             file.shard(&whole.groups(groups))?;
             super::write_manifest(&file, manifest)?;
         }
-        Into::Whole(gaps) => note_gaps(&file, gaps)?,
+        Into::Whole(gaps) => {
+            note_gaps(&file, gaps)?;
+            super::write_whole(&file, whole.manifest)?;
+        }
     }
     let record = |name: &str| sources[0].stored.attribute(name).unwrap_or_default();
     RunRecord {

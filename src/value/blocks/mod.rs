@@ -25,6 +25,9 @@ use std::cmp::Ordering;
 /// blocks of so many take no longer in all than one of all states; in more, states take longer, and
 /// work is to be divided all the same.
 const MOST: [usize; 3] = [1024, 512, 256];
+/// The same of a finite horizon, whose states take ten times as long or more: what is done is kept
+/// block by block.
+const MOST_OF_HORIZON: [usize; 3] = [256, 128, 128];
 /// The same where a device solves many at once.
 const ON_DEVICE: usize = 4096;
 
@@ -53,12 +56,14 @@ impl Block {
 
 /// States of a block at most.
 pub fn size(plan: &Plan, on_device: bool) -> usize {
-    match plan.system.states {
-        _ if on_device => ON_DEVICE,
-        0..=2 => MOST[0],
-        3 => MOST[1],
-        _ => MOST[2],
+    if on_device {
+        return ON_DEVICE;
     }
+    let most = match plan.system.terminal {
+        Some(_) => MOST_OF_HORIZON,
+        None => MOST,
+    };
+    most[plan.system.states.clamp(2, 4) - 2]
 }
 
 /// Cuts states into blocks of at most so many: again and again across the axis along which they lie

@@ -1,6 +1,6 @@
 //! What was put together.
 
-use costate::run::Merged;
+use costate::run::{Merged, listed};
 use std::fmt::Write;
 
 pub fn merged(merged: &Merged) -> String {
@@ -17,6 +17,14 @@ pub fn merged(merged: &Merged) -> String {
             solved.solutions,
             solved.sheets
         );
+    }
+    for (what, shards) in [
+        ("missing", &merged.missing),
+        ("not finished", &merged.unfinished),
+    ] {
+        if !shards.is_empty() {
+            let _ = write!(text, "\nshards that are {what}: {}", listed(shards));
+        }
     }
     let _ = write!(
         text,
