@@ -248,6 +248,18 @@ pub enum BackendError {
         "the equations take {operations} operations, and a GPU kernel at most {limit}; use --backend cpu"
     )]
     TooLong { operations: usize, limit: usize },
+    /// Those that solve for the states of a map elsewhere could not.
+    #[error("the workers that the states of the map were sent to have failed: {why}")]
+    Workers {
+        /// What they say.
+        why: String,
+    },
+    /// Bytes of another version of the program, or of no program.
+    #[error("{what}: the same version must be on all machines")]
+    Foreign {
+        /// Which.
+        what: &'static str,
+    },
     #[error("kernel output slot {index} was not written")]
     Unwritten { index: usize },
     #[error(

@@ -13,6 +13,7 @@ mod refine;
 mod search;
 mod tasks;
 
+use super::Workers;
 use super::guarded::Guarded;
 use super::pieces::{Cloud, Flow, Frame, MOST_VARIABLES, Pieces, Region};
 use crate::backend::{BackendError, Deadline};
@@ -111,6 +112,8 @@ struct Work<'a, 'p> {
     solver: &'a mut Solver,
     archive: &'a Archive,
     aim: &'a MapAim,
+    /// Who solves for states elsewhere, if anyone does.
+    workers: Option<&'a dyn Workers>,
     progress: Progress<'p>,
     tracks: Vec<Track>,
     points: TrackPoints,
@@ -148,7 +151,8 @@ struct Work<'a, 'p> {
     rates: Vec<f64>,
 }
 
-/// Makes a map. `archive` gives the first guesses.
+/// Makes a map. `archive` gives the first guesses. Where there are `workers`, states that are
+/// reached from points near them are solved for there.
 ///
 /// At the plan's deadline it is what it is by then.
 ///
@@ -160,7 +164,7 @@ pub fn adaptive(
     model: &Model,
     solver: &mut Solver,
     archive: &Archive,
-    aim: &MapAim,
+    (aim, workers): (&MapAim, Option<&dyn Workers>),
     progress: Progress<'_>,
 ) -> Result<Adaptive, BackendError> {
     let axis = TimeAxis::of(plan, model, aim)?;
@@ -186,6 +190,7 @@ pub fn adaptive(
         solver,
         archive,
         aim,
+        workers,
         progress,
         tracks: Vec::new(),
         points: TrackPoints {

@@ -33,6 +33,7 @@ mod nodal;
 pub mod pieces;
 mod sites;
 mod swift;
+mod workers;
 
 pub use adaptive::{ABOVE_BOUND, Adaptive, Beyond, Checked, GROSS, Part, adaptive};
 pub use agreement::Agreement;
@@ -43,6 +44,7 @@ pub use known::{Known, SweepRecord};
 pub use many::Many;
 pub use sites::Source;
 pub(crate) use swift::Room;
+pub use workers::{Worker, Workers};
 
 use crate::backend::cpu::{Cpu, Evaluator};
 use crate::hamiltonian::{Hamiltonian, System};

@@ -32,7 +32,7 @@ pub enum SessionError {
     )]
     NothingSwept { outside: usize },
     #[error(
-        "a map to an error is not divided into shards, but a grid is: leave --shard out, or [map] error"
+        "a map to an error is not divided into shards, as each of its rounds needs all before it, but a grid is: leave --shard out, or [map] error (pycostate.distributed.map has each round's states solved for by a cluster)"
     )]
     NotDivided,
     #[error(

@@ -38,7 +38,7 @@ use crate::backend::cpu::in_pool;
 use crate::backend::{Backend, BackendError, Deadline};
 use crate::diagnostics::{Problem, ScenarioErrors};
 use crate::local::LocalError;
-use crate::map::{Adaptive, Known, ValueMap};
+use crate::map::{Adaptive, Known, ValueMap, Worker, Workers};
 use crate::model::{Horizon, Model};
 use crate::scene::Scene;
 use crate::study::{self, Variant};
@@ -76,6 +76,7 @@ pub struct Session<'s> {
     /// What is chosen in place of the scene's settings.
     pub choices: Choices,
     progress: &'s dyn Progress,
+    workers: Option<&'s dyn Workers>,
 }
 
 /// Trajectories that were swept outward from the equilibrium (or from the terminal cost).
@@ -142,6 +143,7 @@ impl<'s> Session<'s> {
             backend,
             choices: Choices::default(),
             progress: &Silent,
+            workers: None,
         }
     }
 
@@ -196,6 +198,23 @@ impl<'s> Session<'s> {
     pub fn with_progress(mut self, progress: &'s dyn Progress) -> Self {
         self.progress = progress;
         self
+    }
+
+    /// With others that solve for the states of a map to an error. It is the same map, to the last
+    /// bit, where they compute on machines of the same kind.
+    #[must_use]
+    pub fn with_workers(mut self, workers: &'s dyn Workers) -> Self {
+        self.workers = Some(workers);
+        self
+    }
+
+    /// One of those others, for the map of another process's session of the same scene and choices.
+    ///
+    /// # Errors
+    /// What is wrong with the scene; [`SessionError::NoMap`]; device failures.
+    pub fn worker(&self) -> Result<Worker, SessionError> {
+        let plan = self.prepare(&Wanted::map())?.into_plan();
+        Ok(Worker::new(plan, self.backend.as_ref())?)
     }
 
     /// The scene.

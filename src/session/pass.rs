@@ -314,6 +314,11 @@ impl Pass<'_> {
         &self.plan
     }
 
+    /// That alone.
+    pub(crate) fn into_plan(self) -> Plan {
+        self.plan
+    }
+
     /// Whether the sweep is a result, with its trajectories.
     pub fn stores_sweep(&self) -> bool {
         self.stored && self.kept != Kept::Nothing
@@ -521,7 +526,7 @@ impl Session<'_> {
             model,
             &mut solver,
             archive,
-            aim,
+            (aim, self.workers),
             &mut shown,
         )?)
     }

@@ -23,7 +23,7 @@ mod _engine {
     use super::run_command;
     #[pymodule_export]
     use super::runs::{
-        attenuation, evaluate, fit, merge, report, run, shard_owner, simulate, study,
+        MapWorker, attenuation, evaluate, fit, merge, report, run, shard_owner, simulate, study,
     };
     #[pymodule_export]
     use super::scene::{Scene, scene_of_file};

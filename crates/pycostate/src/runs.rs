@@ -5,7 +5,9 @@ use crate::going::{Gone, Listener, going};
 use crate::law::Law;
 use crate::scene::Scene;
 use costate::backend::Deadline;
+use costate::backend::cpu::in_pool;
 use costate::low_level::hdf5::ResultFile;
+use costate::low_level::map::{Worker, Workers};
 use costate::low_level::model::{Method, Report};
 use costate::low_level::result::{Stored, TrajectorySchema};
 use costate::run::{
@@ -14,16 +16,17 @@ use costate::run::{
 };
 use costate::session::summary::{AttenuationSummary, EvaluationSummary, study_rows};
 use costate::session::{
-    ControlledBy, Kept, Listed, LoopOptions, Resume, Session, Shard, Silent, SimulationOptions,
-    States, Wanted,
+    ControlledBy, Kept, Listed, LoopOptions, Resume, Session, SessionError, Shard, Silent,
+    SimulationOptions, States, Wanted,
 };
 use costate::{Choices, Precision, Weights};
 use costate_cli::{BackendChoice, CliError, provenance};
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Seconds between two checkpoints of a shard.
 const CHECKPOINT: u32 = 60;
@@ -108,12 +111,17 @@ impl How {
         &self,
         py: Python<'_>,
         scene: &Scene,
+        workers: Option<&Crew>,
         work: impl FnOnce(&Session<'_>, &Provenance) -> Result<Made, CliError> + Send,
     ) -> PyResult<Written> {
         let (numerics, scene) = (self.numerics(py)?, Arc::clone(&scene.inner));
         let gone = self.going(py, |listener, deadline| {
             let provenance = provenance();
-            work(&numerics.session(&scene, listener, deadline)?, &provenance)
+            let mut session = numerics.session(&scene, listener, deadline)?;
+            if let Some(workers) = workers {
+                session = session.with_workers(workers);
+            }
+            work(&session, &provenance)
         })?;
         written(py, gone)
     }
@@ -132,6 +140,62 @@ impl Numerics {
             .choosing(self.choices)
             .until(deadline)
             .with_progress(listener))
+    }
+}
+
+/// Workers of a map, which Python knows.
+struct Crew(Py<PyAny>);
+
+impl Workers for Crew {
+    fn count(&self) -> usize {
+        // Where nobody is known all is done here.
+        let count = Python::attach(|py| self.0.call_method0(py, "count")?.extract(py));
+        count.unwrap_or(0)
+    }
+
+    fn work(&self, tasks: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, String> {
+        let done: PyResult<_> = Python::attach(|py| {
+            let tasks: Vec<_> = tasks.iter().map(|task| PyBytes::new(py, task)).collect();
+            self.0.call_method1(py, "work", (tasks,))?.extract(py)
+        });
+        done.map_err(|e| e.to_string())
+    }
+}
+
+/// One of them: it solves for states that a map of another process asks for.
+#[pyclass(frozen)]
+pub struct MapWorker(Mutex<Worker>);
+
+#[pymethods]
+impl MapWorker {
+    #[new]
+    fn new(py: Python<'_>, scene: &Scene, how: How) -> PyResult<Self> {
+        let (numerics, scene) = (how.numerics(py)?, Arc::clone(&scene.inner));
+        let gone = how.going(py, |listener, deadline| {
+            let session = numerics.session(&scene, listener, deadline)?;
+            Ok::<_, CliError>(session.worker()?)
+        })?;
+        match gone.done {
+            Ok(worker) => Ok(Self(Mutex::new(worker))),
+            Err(error) => Err(raised(py, error)),
+        }
+    }
+
+    /// Does a task.
+    fn work<'py>(&self, py: Python<'py>, task: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
+        let done = py.detach(|| {
+            in_pool(|| {
+                let mut worker = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+                worker.work(task)
+            })
+        });
+        match done {
+            Ok(done) => Ok(PyBytes::new(py, &done)),
+            Err(error) => Err(raised(
+                py,
+                CliError::from(RunError::from(SessionError::from(error))),
+            )),
+        }
     }
 }
 
@@ -158,9 +222,10 @@ fn written(py: Python<'_>, gone: Gone<Result<Made, CliError>>) -> PyResult<Writt
 
 /// `what`: `run`, `sweep`, `homotopy`, `map`, or `solve` for states `[state][component]`. `kept`: what
 /// is kept of swept trajectories. `shard`: the number of a part, and of how many; what it has done is
-/// kept in `out` as it goes on, and what is there is not done again.
+/// kept in `out` as it goes on, and what is there is not done again. `workers` solve for the states of a
+/// map to an error: an object with `count()` and `work(tasks)`, whose tasks `MapWorker`s do.
 #[pyfunction]
-#[pyo3(signature = (scene, what, out, how, x=None, *, one_sheet=false, samples=None, grid_guesses=false, kept="all", shard=None))]
+#[pyo3(signature = (scene, what, out, how, x=None, *, one_sheet=false, samples=None, grid_guesses=false, kept="all", shard=None, workers=None))]
 #[allow(clippy::too_many_arguments, reason = "named, in Python")]
 pub fn run(
     py: Python<'_>,
@@ -174,6 +239,7 @@ pub fn run(
     grid_guesses: bool,
     kept: &str,
     shard: Option<(usize, usize)>,
+    workers: Option<Py<PyAny>>,
 ) -> PyResult<Written> {
     let mut wanted = match (what, x) {
         ("run", None) => Wanted::all(),
@@ -205,7 +271,8 @@ pub fn run(
             return Err(of_input(py, &message));
         }
     };
-    how.compute(py, scene, |session, provenance| {
+    let workers = workers.map(Crew);
+    how.compute(py, scene, workers.as_ref(), |session, provenance| {
         let done = session.run(&wanted, &out, provenance)?;
         let stopped = done.outcome.stopped || done.laws.stopped;
         let summary = costate_cli::summary(&done, wanted.laws);
@@ -240,7 +307,7 @@ pub fn shard_owner(units: usize, of: usize) -> Vec<usize> {
 /// The scene's `[study]`.
 #[pyfunction]
 pub fn study(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
-    how.compute(py, scene, |session, provenance| {
+    how.compute(py, scene, None, |session, provenance| {
         let done = made_study(session, (None, Resume::Never), &out, provenance)?;
         let rows = study_rows(&session.scene().model, &done.variants);
         Ok((done.path, json!(rows), done.stopped))
@@ -250,7 +317,7 @@ pub fn study(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<
 /// The scene's `[attenuation]`.
 #[pyfunction]
 pub fn attenuation(py: Python<'_>, scene: &Scene, out: PathBuf, how: How) -> PyResult<Written> {
-    how.compute(py, scene, |session, provenance| {
+    how.compute(py, scene, None, |session, provenance| {
         let mut file = ResultFile::create(&out)?;
         let found = session.attenuation()?;
         write_attenuation(&mut file, &session.scene().model, &found)?;
@@ -291,7 +358,7 @@ pub fn simulate(
         },
         cycle,
     };
-    how.compute(py, scene, |session, provenance| {
+    how.compute(py, scene, None, |session, provenance| {
         let mut file = ResultFile::create(&out)?;
         let model = &session.scene().model;
         let axes = TrajectorySchema::axes(model);
@@ -325,7 +392,7 @@ pub fn evaluate(
         solve,
     };
     let added = weights.into_iter().map(of_text).collect();
-    how.compute(py, scene, |session, provenance| {
+    how.compute(py, scene, None, |session, provenance| {
         let stored = stored.map(Stored::open).transpose()?;
         let out = Some(out.as_path());
         let done = evaluated(session, stored.as_ref(), added, &options, out, provenance)?;

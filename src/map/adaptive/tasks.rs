@@ -4,6 +4,7 @@ use super::failures::Asked;
 use super::{GIVEN_UP, NEAR, Work};
 use crate::backend::BackendError;
 use crate::map::pieces::{Region, Want};
+use crate::map::workers::solved_by;
 use crate::shooting::Path;
 use crate::value::{FoundNear, Miss, PointStatus, Track, path_from, solve_near};
 
@@ -69,6 +70,13 @@ impl Work<'_, '_> {
         least_step: f64,
     ) -> Result<Option<Vec<FoundNear>>, BackendError> {
         self.in_time(GIVEN_UP, |this| {
+            if let Some(workers) = this.workers {
+                let width = 2 * this.plan.system.states;
+                if let Some(found) = solved_by(workers, width, &guesses, least_step)? {
+                    this.solver.deadline.check()?;
+                    return Ok(found);
+                }
+            }
             solve_near(this.plan, this.solver, guesses, least_step)
         })
     }

@@ -503,6 +503,9 @@ class Problem:
             The result file's ``/map``: V, p, u over the states' axes (on a finite horizon at t = 0), with
             errors where the map is in pieces.
         """
+        return self._mapped(error, value_max, counts, out, numerics, None)
+
+    def _mapped(self, error, value_max, counts, out, numerics, workers):
         problem = self
         counts_of(self.states, counts)
         refuse_axes(self)
@@ -527,7 +530,7 @@ class Problem:
             return _files.dataset(file, "map") if _files.has(file, "map") else None
 
         try:
-            made = shown(problem._run("homotopy", None, {}, numerics, out, None))
+            made = shown(problem._run("homotopy", None, {"workers": workers}, numerics, out, None))
         except Interrupted as stopped:
             stopped.result = None if stopped.result is None else shown(stopped.result)
             raise

@@ -15,7 +15,10 @@ from __future__ import annotations
 
 import os
 import tempfile
+import threading
+import time
 import uuid
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +28,10 @@ from . import _engine, _files, _options, _toml
 from ._places import Places
 from .errors import CostateError, InputError, OutOfTime
 
-__all__ = ["Work", "map", "simulate", "solve"]
+__all__ = ["Rounds", "Work", "map", "simulate", "solve"]
 
+#: Seconds between two looks at whether a map is done.
+_LOOK = 0.2
 #: Shards a worker, unless it is said how many.
 _A_WORKER = 4
 
@@ -94,6 +99,93 @@ class Work:
         if future.status in ("cancelled", "lost"):
             return _Lost(f"its future is {future.status}")
         return None
+
+
+class Rounds:
+    """A map to an error on its way: what :func:`map` returns of it with ``wait=False``."""
+
+    def __init__(self, crew, make):
+        self._crew = crew
+        self._ended, self._made, self._error = threading.Event(), None, None
+
+        def run():
+            try:
+                self._made = make()
+            except BaseException as error:
+                self._error = crew.error or error
+            finally:
+                self._ended.set()
+
+        self._thread = threading.Thread(target=run, name="pycostate-map", daemon=True)
+        self._thread.start()
+
+    def __repr__(self):
+        state = "done" if self._ended.is_set() else "under way"
+        return f"<pycostate.distributed.Rounds: {state}, {self._crew.rounds} rounds>"
+
+    @property
+    def futures(self) -> list:
+        """The futures of the present round."""
+        work = self._crew.work_now
+        return [] if work is None else work.futures
+
+    def cancel(self) -> None:
+        """Gives the map up."""
+        self._crew.cancel()
+
+    def result(self, timeout: float | None = None) -> Any:
+        """Waits for the map. ``TimeoutError`` after ``timeout`` seconds; the work goes on then."""
+        try:
+            # In short waits: a signal is heard between two.
+            end = None if timeout is None else time.monotonic() + timeout
+            while not self._ended.wait(_LOOK if end is None else min(_LOOK, max(end - time.monotonic(), 0.0))):
+                if end is not None and time.monotonic() >= end:
+                    raise TimeoutError(f"the map was not done in {timeout} seconds")
+        except KeyboardInterrupt:
+            self.cancel()
+            raise
+        if self._error is not None:
+            raise self._error
+        return self._made
+
+
+class _Crew:
+    """Who solves for the states of a map: the cluster's workers."""
+
+    def __init__(self, problem, numerics, client, retries):
+        self._problem, self._numerics = problem, numerics
+        self._client, self._retries = client, retries
+        self._is_over = False
+        self.rounds, self.work_now, self.error = 0, None, None
+
+    def count(self) -> int:
+        return len(self._client.scheduler_info()["workers"])
+
+    def cancel(self) -> None:
+        self._is_over = True
+        if self.work_now is not None:
+            self.work_now.cancel()
+
+    def work(self, tasks):
+        self.rounds += 1
+
+        def submit(k, tried):
+            if self._is_over:
+                raise _Lost("the map was given up")
+            key = _key("map", k, tried)
+            with warnings.catch_warnings():
+                # What a round sends is what it needs.
+                warnings.filterwarnings("ignore", message="Sending large graph")
+                return self._client.submit(
+                    _solved, self._problem, self._numerics, tasks[k], pure=False, key=key
+                )
+
+        try:
+            self.work_now = Work(self._client, submit, len(tasks), self._retries, list)
+            return self.work_now.result()
+        except BaseException as error:
+            self.error = CostateError("the map was given up") if self._is_over else error
+            raise
 
 
 class _Lost(Exception):
@@ -178,6 +270,8 @@ def map(
     client=None,
     /,
     *,
+    error: float | None = None,
+    value_max: float | None = None,
     counts=None,
     shards: int | None = None,
     folder=None,
@@ -186,19 +280,26 @@ def map(
     wait: bool = True,
     **numerics: Any,
 ) -> Any:
-    """V on the grid of the scene's ``[map]``, on a cluster: the result file's ``/map`` as a Dataset.
+    """V over the whole region, on a cluster: the result file's ``/map`` as a Dataset.
 
-    ``counts`` are points along each axis in place of the scene's. A map to an error is not divided: see
-    :meth:`pycostate.Problem.map`. The other parameters are those of :func:`solve`.
+    A map to an error (``error``, or ``error`` of the scene's ``[map]``) is refined here, round by round, and
+    each round's states are solved for by the cluster: the same map as :meth:`pycostate.Problem.map` makes,
+    with the same parameters; its ``shards`` are as many as a round needs, and it has no ``folder``. A grid
+    (the scene's ``[map]``, or ``counts`` along each axis in its place) is divided into shards. The other
+    parameters are those of :func:`solve`.
     """
-    there = _toml.loads(problem.text)
-    own = dict(there.get("map", {}))
-    if "error" in own or not (own or counts):
-        raise InputError(
-            "a map to an error is not divided into shards: p.map(error=...) makes it here; counts=... asks for a grid"
-            if "error" in own
-            else "what grid? distributed.map(p, client, counts=...), or the problem's [map]"
-        )
+    own = dict(_toml.loads(problem.text).get("map", {}))
+    if error is not None or "error" in own:
+        if shards is not None or folder is not None:
+            raise InputError("shards and folder are of grids: a map to an error is divided round by round")
+        retries = _options.whole("retries", retries, 0, 10_000)
+        crew = _Crew(problem, numerics, _client(client), retries)
+        work = Rounds(crew, lambda: problem._mapped(error, value_max, counts, out, numerics, crew))
+        return work.result() if wait else work
+    if value_max is not None:
+        own["value_max"] = _options.number("value_max", value_max)
+    if not (own or counts):
+        raise InputError("what grid? distributed.map(p, client, counts=...), or the problem's [map]")
     if counts is not None:
         names = list(problem.states)
         if isinstance(counts, dict):
@@ -208,7 +309,7 @@ def map(
         if len(counts) != len(names):
             raise InputError(f"counts = {counts!r}: one number, or one for each of {', '.join(names)}")
         own["resolution"] = dict(zip(names, (_options.whole("counts", c, 1, 10_000_000) for c in counts)))
-        problem = problem.having(map=own)
+    problem = problem.having(map=own)
     asked = ("map", None, {})
     return _begun(problem, asked, numerics, client, (shards, folder, out, retries, wait), _map_of)
 
@@ -256,6 +357,26 @@ def simulate(
 
 
 # What runs on a worker.
+
+#: Workers of maps, by what they are of: a process makes one of each, once.
+_workers: dict[str, Any] = {}
+_MOST_WORKERS = 4
+_making = threading.Lock()
+
+
+def _solved(problem, numerics, task):
+    """States that a map asks for."""
+    _threads()
+    what = repr((problem.text, problem._scene.set, problem._numerics, numerics))
+    with _making:
+        worker = _workers.get(what)
+        if worker is None:
+            with problem._how({**numerics, "time_limit": None, "progress": None}) as how:
+                worker = _engine.MapWorker(problem._scene, how)
+            while len(_workers) >= _MOST_WORKERS:
+                _workers.pop(next(iter(_workers)))
+            _workers[what] = worker
+    return worker.work(task)
 
 
 def _threads() -> None:
