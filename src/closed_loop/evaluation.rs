@@ -23,7 +23,8 @@ pub struct LawResult {
     pub status: Vec<i32>,
     pub t_end: Vec<f64>,
     pub paths: Vec<Path>,
-    /// Share of the updates of a chart's law at which the chart had no answer.
+    /// Updates of a chart's law, and the share of them at which the chart had no answer.
+    pub updates: usize,
     pub held: f64,
     /// `[initial]`: how many they were.
     pub fallback: Vec<u32>,

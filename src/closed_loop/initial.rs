@@ -20,6 +20,8 @@ pub struct Initial {
     /// States that vary in the grid and their values; empty where states are random. The last axis
     /// varies fastest.
     pub axes: Vec<(usize, Vec<f64>)>,
+    /// Of a part of all initial states those, by their place in it, whose trajectories are kept.
+    pub kept_of_part: Option<Vec<usize>>,
 }
 
 impl Initial {
@@ -70,6 +72,7 @@ impl Initial {
             states: all.len(),
             x: Grid { axes: all }.points(),
             axes,
+            kept_of_part: None,
         })
     }
 
@@ -94,7 +97,7 @@ impl Initial {
         Ok(Self {
             x,
             states: n,
-            axes: Vec::new(),
+            ..Self::default()
         })
     }
 
@@ -106,6 +109,23 @@ impl Initial {
         &self.x[i * self.states..][..self.states]
     }
 
+    /// Some of them, by their numbers, which rise. Kept are those that are kept of all.
+    pub fn some(&self, numbers: &[usize]) -> Self {
+        let kept = self.kept().into_iter();
+        Self {
+            x: (numbers.iter())
+                .flat_map(|k| self.state(*k))
+                .copied()
+                .collect(),
+            states: self.states,
+            axes: Vec::new(),
+            kept_of_part: Some(
+                kept.filter_map(|k| numbers.binary_search(&k).ok())
+                    .collect(),
+            ),
+        }
+    }
+
     /// Lengths of the axes.
     pub fn counts(&self) -> Vec<usize> {
         self.axes.iter().map(|(_, values)| values.len()).collect()
@@ -114,6 +134,9 @@ impl Initial {
     /// Initial states whose trajectories are kept for pictures: the corners, sides' middles and
     /// middle of the first two axes, at the middle of others; of random states the first few.
     pub fn kept(&self) -> Vec<usize> {
+        if let Some(kept) = &self.kept_of_part {
+            return kept.clone();
+        }
         if self.axes.is_empty() {
             return (0..self.count().min(PICKS * PICKS)).collect();
         }

@@ -13,6 +13,7 @@ mod evaluation;
 mod fallback;
 mod flights;
 mod forcing;
+mod gathered;
 mod initial;
 mod law;
 mod legs;
@@ -26,11 +27,12 @@ mod values;
 pub use choose::{Available, Chosen, LQR, MAP, Weights};
 pub use evaluation::{Evaluation, LawResult, SetResult, Spread};
 pub use flights::{Flights, Path};
+pub use gathered::{Gathered, NOT_MERGED};
 pub use initial::Initial;
 pub use law::{Law, LawError, Laws};
 pub use sets::{Line, area, contour};
 pub use simulate::OUTSIDE_MAP;
-pub use values::solved_values;
+pub use values::{solved_values, values_of_blocks};
 
 use crate::backend::{Backend, BackendError, Status, Surface};
 use crate::hamiltonian::Hamiltonian;
@@ -333,7 +335,10 @@ impl<'s> Setting<'s> {
         let guards = (self.hamiltonian.guards.iter().enumerate())
             .map(|(k, g)| (GUARD_STATUS + k as i32, format!("guard_{}", g.name)));
         general
-            .chain([(OUTSIDE_MAP, "outside_map".to_owned())])
+            .chain(
+                [(OUTSIDE_MAP, "outside_map"), (NOT_MERGED, "not_merged")]
+                    .map(|(code, name)| (code, name.to_owned())),
+            )
             .chain(guards)
             .collect()
     }
@@ -431,6 +436,7 @@ impl<'s> Setting<'s> {
             paths: flights.paths,
             held: flights.fallback.iter().map(|k| f64::from(*k)).sum::<f64>()
                 / flights.updates.max(1) as f64,
+            updates: flights.updates,
             fallback: flights.fallback,
             round_trips: flights.round_trips,
             seconds,
@@ -456,6 +462,37 @@ impl<'s> Setting<'s> {
         result
     }
 
+    /// Simulates several laws from the same initial states.
+    ///
+    /// # Errors
+    /// As [`Self::simulate`].
+    pub fn simulate_all(
+        &self,
+        laws: &[Law],
+        initial: &Initial,
+        chart: Option<&dyn Chart>,
+        backend: &dyn Backend,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Vec<LawResult>, LoopError> {
+        let mut results = Vec::new();
+        for law in laws {
+            progress(&law.name);
+            results.push(self.simulate(law, initial, chart, backend)?);
+        }
+        Ok(results)
+    }
+
+    /// What came of laws from the same initial states.
+    pub fn evaluated(
+        &self,
+        initial: Initial,
+        values: Vec<f64>,
+        laws: Vec<LawResult>,
+        backend: &dyn Backend,
+    ) -> Evaluation {
+        Evaluation::new(self, initial, values, laws, backend)
+    }
+
     /// Simulates several laws from the same initial states. `values` are V there, where known; else
     /// those of the chart.
     ///
@@ -471,12 +508,8 @@ impl<'s> Setting<'s> {
         progress: &mut dyn FnMut(&str),
     ) -> Result<Evaluation, LoopError> {
         let values = values.unwrap_or_else(|| initial.values(chart));
-        let mut results = Vec::new();
-        for law in laws {
-            progress(&law.name);
-            results.push(self.simulate(law, &initial, chart, backend)?);
-        }
-        Ok(Evaluation::new(self, initial, values, results, backend))
+        let results = self.simulate_all(laws, &initial, chart, backend, progress)?;
+        Ok(self.evaluated(initial, values, results, backend))
     }
 }
 

@@ -4,7 +4,7 @@ use crate::backend::Backend;
 use crate::hamiltonian::Hamiltonian;
 use crate::model::Model;
 use crate::sweep::Choices;
-use crate::value::{self, Progress};
+use crate::value::{self, Answers, Progress};
 
 use super::LoopError;
 
@@ -23,11 +23,35 @@ pub fn solved_values(
 ) -> Result<Vec<f64>, LoopError> {
     let (_, _, found) =
         value::solve_states(model, hamiltonian, backend, choices, states, progress)?;
-    Ok((0..states.len() / model.states.len())
-        .map(|k| {
-            found
-                .answer(found.targets.of_given[k])
-                .map_or(f64::NAN, |e| e.value)
-        })
-        .collect())
+    Ok(least(&found))
+}
+
+/// The same of the states of some blocks (see [`value::count_blocks`]): their numbers, and V.
+///
+/// # Errors
+/// As [`solved_values`].
+pub fn values_of_blocks(
+    (model, hamiltonian): (&Model, &Hamiltonian),
+    backend: &dyn Backend,
+    choices: Choices,
+    states: &[f64],
+    blocks: &[usize],
+    progress: Progress<'_>,
+) -> Result<(Vec<usize>, Vec<f64>), LoopError> {
+    let (_, _, found, _) = value::solve_blocks(
+        (model, hamiltonian),
+        backend,
+        choices,
+        states,
+        Some(blocks),
+        progress,
+    )?;
+    let values = least(&found);
+    Ok((found.targets.rows, values))
+}
+
+/// The least V of each state given.
+fn least(found: &Answers) -> Vec<f64> {
+    let value = |target: &usize| found.answer(*target).map_or(f64::NAN, |e| e.value);
+    found.targets.of_given.iter().map(value).collect()
 }

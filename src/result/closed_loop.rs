@@ -117,6 +117,7 @@ impl Evaluation {
             .put("seconds", column(&|l| l.seconds))
             .put("rate", column(&LawResult::rate))
             .put("failed", column(&failed))
+            .put("updates", column(&|l| l.updates as f64))
             .put("held", column(&|l| l.held))
             .put("fell_back", column(&|l| l.fell_back() as f64));
         for (k, record) in self.closed_loop.records.iter().enumerate() {

@@ -139,6 +139,12 @@ pub static CLOSED_LOOP_LAWS: Group = Group {
             "trajectories that ended early",
         ),
         real(
+            "updates",
+            &["law"],
+            Unit::One,
+            "updates of the map's law in all",
+        ),
+        real(
             "held",
             &["law"],
             Unit::One,

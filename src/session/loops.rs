@@ -5,14 +5,16 @@ use super::{Session, SessionError};
 use crate::backend::cpu::in_pool;
 use crate::closed_loop::dissipation::{self, Certificate, Dissipation};
 use crate::closed_loop::{
-    Available, Chart, Evaluation, Initial, LQR, Law, Laws, MAP, Setting, Weights, solved_values,
+    Available, Chart, Evaluation, Gathered, Initial, LQR, Law, Laws, LoopError, MAP, Setting,
+    Weights, solved_values, values_of_blocks,
 };
 use crate::expr::Id;
 use crate::map::{At, ValueMap};
 use crate::model::{ClosedLoop, Model, Outside};
 use crate::scene::Scene;
-use crate::sweep::Choices;
+use crate::sweep::{Choices, Numerics};
 use crate::trajectories::SolvedStates;
+use crate::value::count_blocks;
 
 /// V at the initial states of `[dissipation]` is solved for with this tolerance, unless the scene's
 /// is tighter.
@@ -44,6 +46,136 @@ pub struct LoopOptions {
     pub solve: bool,
 }
 
+/// Laws that are simulated from initial states, of which some may be done at a time.
+pub struct Loops<'a> {
+    session: &'a Session<'a>,
+    asked: &'a ClosedLoop,
+    setting: Setting<'a>,
+    chosen: Vec<Law>,
+    from: &'a Sources,
+    /// All initial states.
+    pub initial: Initial,
+    solve: bool,
+}
+
+impl Loops<'_> {
+    /// The names of the laws.
+    pub fn laws(&self) -> Vec<String> {
+        self.chosen.iter().map(|law| law.name.clone()).collect()
+    }
+
+    /// With what they are integrated.
+    pub fn numerics(&self) -> Numerics {
+        self.setting.numerics
+    }
+
+    /// Of how many units the initial states are, which have nothing to do with each other: each of
+    /// its own, or the blocks of states that V is solved for in.
+    ///
+    /// # Errors
+    /// Where V cannot be solved for.
+    pub fn units(&self) -> Result<usize, SessionError> {
+        if !self.solve {
+            return Ok(self.initial.count());
+        }
+        let Scene {
+            model, hamiltonian, ..
+        } = self.session.scene;
+        let (backend, choices) = (self.session.backend.as_ref(), self.session.choices);
+        let blocks = count_blocks(model, hamiltonian, backend, choices, &self.initial.x);
+        Ok(blocks.map_err(LoopError::States)?)
+    }
+
+    /// Simulates from the initial states of some units; `None`: from all.
+    ///
+    /// # Errors
+    /// Device failures; that V was not solved for.
+    pub fn simulate(
+        &self,
+        units: Option<&[usize]>,
+        gathered: &mut Gathered,
+    ) -> Result<(), SessionError> {
+        let session = self.session;
+        let backend = session.backend.as_ref();
+        let Scene {
+            model, hamiltonian, ..
+        } = session.scene;
+        let step = session.step();
+        let all = || (0..self.initial.count()).collect();
+        let (numbers, values) = if self.solve {
+            let mut shown = step.states();
+            let x = &self.initial.x;
+            in_pool(|| match units {
+                Some(blocks) => {
+                    let scene = (model, hamiltonian);
+                    values_of_blocks(scene, backend, session.choices, x, blocks, &mut shown)
+                }
+                None => {
+                    let values =
+                        solved_values(model, hamiltonian, backend, session.choices, x, &mut shown);
+                    values.map(|values| (all(), values))
+                }
+            })?
+        } else {
+            let numbers: Vec<usize> = units.map_or_else(all, <[usize]>::to_vec);
+            let part = self.initial.some(&numbers);
+            let values = session.known_values(self.from, &part, self.initial.count())?;
+            (numbers, values)
+        };
+        // What is of none has no laws to compile.
+        if numbers.is_empty() {
+            return Ok(());
+        }
+        let part = self.initial.some(&numbers);
+        let chart = self.from.chart();
+        let laws = in_pool(|| {
+            self.setting
+                .simulate_all(&self.chosen, &part, chart, backend, &mut |law| {
+                    step.say(&format!("closed loop of {law}"));
+                })
+        })?;
+        gathered.take(&numbers, &values, laws);
+        Ok(())
+    }
+
+    /// What came of all.
+    pub fn evaluated(&self, gathered: Gathered) -> Evaluation {
+        let controls = self.session.scene.model.controls.len();
+        let (initial, values, laws) = gathered.all(self.asked.samples, controls);
+        let backend = self.session.backend.as_ref();
+        self.setting.evaluated(initial, values, laws, backend)
+    }
+
+    /// What came of those that are there.
+    pub fn evaluated_in_part(&self, gathered: &Gathered) -> Evaluation {
+        let (initial, values, laws) = gathered.part();
+        let backend = self.session.backend.as_ref();
+        self.setting.evaluated(initial, values, laws, backend)
+    }
+
+    /// Tells what came of them.
+    pub fn tell(&self, evaluation: &Evaluation) {
+        let progress = self.session.progress;
+        for law in evaluation.laws.iter().filter(|l| l.held > 0.0) {
+            progress.note(&format!(
+                "law `{}`: along {} of {} closed loops ({:.2} % of all updates) the map had no answer somewhere: {}",
+                law.name,
+                law.fell_back(),
+                law.status.len(),
+                100.0 * law.held,
+                match self.asked.outside {
+                    Outside::Stop => "they end there",
+                    Outside::Hold => "the law held its last p = q + H s",
+                    Outside::Nearest => "the law took p of the nearest state known",
+                    Outside::Search => "the law took p of the nearest state known, or held a control at its bound, as a search for the cheapest way back chose",
+                    Outside::Local => "the law was that of the Riccati solution",
+                }
+            ));
+        }
+        progress.finished(Finished::ClosedLoop(evaluation));
+    }
+}
+
 impl Sources {
     fn chart(&self) -> Option<&dyn Chart> {
         self.map.as_ref().map(|m| m as &dyn Chart)
@@ -60,6 +192,23 @@ impl Session<'_> {
         from: &Sources,
         options: &LoopOptions,
     ) -> Result<Evaluation, SessionError> {
+        let loops = self.loops(from, options)?;
+        let mut gathered = Gathered::new(loops.initial.clone());
+        loops.simulate(None, &mut gathered)?;
+        let evaluation = loops.evaluated(gathered);
+        loops.tell(&evaluation);
+        Ok(evaluation)
+    }
+
+    /// The laws of the scene's `[closed_loop]`, and where they are simulated from.
+    ///
+    /// # Errors
+    /// What is wrong with them.
+    pub fn loops<'a>(
+        &'a self,
+        from: &'a Sources,
+        options: &LoopOptions,
+    ) -> Result<Loops<'a>, SessionError> {
         let Scene {
             model, hamiltonian, ..
         } = self.scene;
@@ -86,42 +235,15 @@ impl Session<'_> {
                  time = false, makes V(x, t))",
             );
         }
-
-        let initial = Initial::new(model, asked, options.random, self.choices.seed)?;
-        let step = self.step();
-        let values = if options.solve {
-            let mut shown = step.states();
-            let (model, h) = (&self.scene.model, &self.scene.hamiltonian);
-            let x = &initial.x;
-            in_pool(|| solved_values(model, h, backend, self.choices, x, &mut shown))?
-        } else {
-            self.known_values(from, &initial)?
-        };
-        let evaluation = in_pool(|| {
-            setting.evaluate(&chosen, initial, chart, Some(values), backend, &mut |law| {
-                step.say(&format!("closed loop of {law}"));
-            })
-        })?;
-        drop(step);
-
-        for law in evaluation.laws.iter().filter(|l| l.held > 0.0) {
-            self.progress.note(&format!(
-                "law `{}`: along {} of {} closed loops ({:.2} % of all updates) the map had no answer somewhere: {}",
-                law.name,
-                law.fell_back(),
-                law.status.len(),
-                100.0 * law.held,
-                match asked.outside {
-                    Outside::Stop => "they end there",
-                    Outside::Hold => "the law held its last p = q + H s",
-                    Outside::Nearest => "the law took p of the nearest state known",
-                    Outside::Search => "the law took p of the nearest state known, or held a control at its bound, as a search for the cheapest way back chose",
-                    Outside::Local => "the law was that of the Riccati solution",
-                }
-            ));
-        }
-        self.progress.finished(Finished::ClosedLoop(&evaluation));
-        Ok(evaluation)
+        Ok(Loops {
+            initial: Initial::new(model, asked, options.random, self.choices.seed)?,
+            session: self,
+            asked,
+            setting,
+            chosen,
+            from,
+            solve: options.solve,
+        })
     }
 
     /// Checks the inequality of the scene's `[dissipation]` along the flights of its laws.
@@ -219,7 +341,13 @@ impl Session<'_> {
 
     /// V of the solved states and, elsewhere, of the map, as far as that is good; NaN where it is
     /// not known.
-    fn known_values(&self, from: &Sources, initial: &Initial) -> Result<Vec<f64>, SessionError> {
+    /// These are some of so many.
+    fn known_values(
+        &self,
+        from: &Sources,
+        initial: &Initial,
+        of: usize,
+    ) -> Result<Vec<f64>, SessionError> {
         /// Largest estimated error of V, of V.
         const GOOD: f64 = 0.01;
         /// States at which it is estimated, which takes a hundred times longer than V.
@@ -245,7 +373,7 @@ impl Session<'_> {
             return Ok(values);
         };
 
-        let estimated = initial.count() <= ESTIMATED;
+        let estimated = of <= ESTIMATED;
         let good = |at: At| match at.lowest {
             Err(_) => f64::NAN,
             Ok(here) if here.v_error > GOOD * here.v.abs() => f64::INFINITY,

@@ -21,7 +21,7 @@ pub use estimates::Estimates;
 pub use figure::StickFigure;
 pub use laws::{FitData, fit_laws};
 pub use least::LeastOptions;
-pub use loops::{LoopOptions, Sources, same_problem};
+pub use loops::{LoopOptions, Loops, Sources, same_problem};
 pub use mechanism::{
     ContactState, Identity, MechanismAt, MechanismState, MechanismSummary, PointState,
 };

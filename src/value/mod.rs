@@ -39,7 +39,7 @@ pub use solve::{
     Answers, Common, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep,
     guess_seeds, may_need_sweep, solve, solve_targets, solver, spaced,
 };
-pub use states::{StatesError, solve_states, solve_states_folding};
+pub use states::{StatesError, count_blocks, solve_blocks, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};
 pub use targets::{Grid, Groups, Targets, Whole};
 pub use tracks::{FoundNear, Track, TrackPoints, Wish, path_from, solve_near, track_points};

@@ -50,6 +50,43 @@ pub fn solve_states_folding(
     states: &[f64],
     progress: Progress<'_>,
 ) -> Result<(Plan, Solver, Answers, Vec<FoldPoint>), StatesError> {
+    let scene = (model, hamiltonian);
+    solve_blocks(scene, backend, choices, states, None, progress)
+}
+
+/// Into how many blocks states are cut (see [`Blocks`]).
+///
+/// # Errors
+/// Where the scene cannot be swept for first guesses.
+pub fn count_blocks(
+    model: &Model,
+    hamiltonian: &Hamiltonian,
+    backend: &dyn Backend,
+    choices: Choices,
+    states: &[f64],
+) -> Result<usize, StatesError> {
+    let n = model.states.len();
+    let choices = for_guesses(choices, n, states.len() / n);
+    let plan = Plan::new(model, hamiltonian, backend, choices)?;
+    let request = Request {
+        points: states.to_vec(),
+        ..Request::default()
+    };
+    Ok(Blocks::new(&plan, backend, &request).blocks.len())
+}
+
+/// As [`solve_states_folding`], for the states of some blocks alone; `None`: of all.
+///
+/// # Errors
+/// Those of [`solve_states`].
+pub fn solve_blocks(
+    (model, hamiltonian): (&Model, &Hamiltonian),
+    backend: &dyn Backend,
+    choices: Choices,
+    states: &[f64],
+    own: Option<&[usize]>,
+    progress: Progress<'_>,
+) -> Result<(Plan, Solver, Answers, Vec<FoldPoint>), StatesError> {
     let n = model.states.len();
     let choices = for_guesses(choices, n, states.len() / n);
     let plan = Plan::new(model, hamiltonian, backend, choices)?;
@@ -68,7 +105,10 @@ pub fn solve_states_folding(
         ..Request::default()
     };
     let blocks = Blocks::new(&plan, backend, &request);
-    let all: Vec<usize> = (0..blocks.blocks.len()).collect();
+    let own = match own {
+        Some(own) => own.to_vec(),
+        None => (0..blocks.blocks.len()).collect(),
+    };
     let mut sweep = |archive: &mut Archive| -> Result<(), StatesError> {
         folds = archive.sweep(&plan, backend)?.folds;
         Ok(())
@@ -78,7 +118,7 @@ pub fn solve_states_folding(
         &mut solver,
         backend,
         (&archive, direct.then_some(&mut sweep as _)),
-        (&all, &mut NoKeeper),
+        (&own, &mut NoKeeper),
         progress,
     )?;
     drop(blocks);
