@@ -1,48 +1,22 @@
-//! The states of a map to an error, solved for elsewhere: what a round asks of others, as bytes.
-//!
-//! Each state is a problem of its own (see [`solve_near`]): who solves for it, and in what company,
-//! changes no bit of the answer.
+//! States that are reached from points near them.
 
-use crate::backend::{Backend, BackendError};
-use crate::shooting::{Path, Solver};
-use crate::sweep::Plan;
-use crate::value::{FoundNear, Miss, PointStatus, solve_near, solver};
+use super::{A_WORKER, Way, Worker, Workers, done_by, foreign_answer};
+use crate::backend::BackendError;
+use crate::shooting::Path;
+use crate::value::{FoundNear, Miss, PointStatus, solve_near};
 use prost::Message;
 
 /// States that are worth sending away, and of a task at least.
 const LEAST: usize = 32;
 const LEAST_OF_TASK: usize = 8;
-/// Tasks a worker and round: those that are quick take more of them.
-const A_WORKER: usize = 4;
-
-/// Who solves for the states of a map: processes elsewhere, each with a [`Worker`].
-pub trait Workers: Sync {
-    /// How many there are now.
-    fn count(&self) -> usize;
-
-    /// Has tasks done, each by [`Worker::work`] of any of them; the answers, in their order.
-    ///
-    /// # Errors
-    /// Why they could not be done.
-    fn work(&self, tasks: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, String>;
-}
-
-/// Solves for states that the map of another process asks for.
-pub struct Worker {
-    plan: Plan,
-    solver: Solver,
-}
 
 /// States, each with a guess near it.
 #[derive(Clone, PartialEq, Message)]
-struct Task {
-    /// Components of a node.
-    #[prost(uint32, tag = "1")]
-    width: u32,
+pub(super) struct Task {
     /// Shortest step on the way from a guess to its state, as a share of the way.
-    #[prost(double, tag = "2")]
+    #[prost(double, tag = "1")]
     least: f64,
-    #[prost(message, repeated, tag = "3")]
+    #[prost(message, repeated, tag = "2")]
     guesses: Vec<Guess>,
 }
 
@@ -52,14 +26,6 @@ struct Guess {
     x: Vec<f64>,
     #[prost(message, required, tag = "2")]
     path: Way,
-}
-
-#[derive(Clone, PartialEq, Message)]
-struct Way {
-    #[prost(double, repeated, tag = "1")]
-    nodes: Vec<f64>,
-    #[prost(double, repeated, tag = "2")]
-    durations: Vec<f64>,
 }
 
 /// What was found, in the order of the guesses.
@@ -80,8 +46,9 @@ struct Found {
     miss: Option<Missed>,
 }
 
+/// What is known of a state without a solution.
 #[derive(Clone, PartialEq, Message)]
-struct Missed {
+pub(super) struct Missed {
     #[prost(int32, tag = "1")]
     status: i32,
     #[prost(double, repeated, tag = "2")]
@@ -92,39 +59,20 @@ struct Missed {
     cut: Option<Way>,
 }
 
-impl Worker {
-    /// For the maps of a plan.
-    ///
-    /// # Errors
-    /// Device failures.
-    pub fn new(plan: Plan, backend: &dyn Backend) -> Result<Self, BackendError> {
-        let solver = solver(&plan, backend)?;
-        Ok(Self { plan, solver })
-    }
-
-    /// Does a task.
-    ///
-    /// # Errors
-    /// [`BackendError::Foreign`] for bytes that are no task; device failures.
-    pub fn work(&mut self, task: &[u8]) -> Result<Vec<u8>, BackendError> {
-        let foreign = || BackendError::Foreign {
-            what: "a worker was given what is no task of this version",
+impl Task {
+    /// Does it; `None` where it is none.
+    pub fn work(self, worker: &mut Worker) -> Result<Option<Vec<u8>>, BackendError> {
+        let n = worker.plan.system.states;
+        let guess = |guess: Guess| {
+            let path = guess.path.into_path(2 * n)?;
+            (guess.x.len() == n).then_some((guess.x, path))
         };
-        let task = Task::decode(task).map_err(|_| foreign())?;
-        let width = 2 * self.plan.system.states;
-        let is_one = |guess: &Guess| {
-            guess.x.len() == width / 2
-                && guess.path.nodes.len() == width * (1 + guess.path.durations.len())
+        let Some(guesses) = self.guesses.into_iter().map(guess).collect() else {
+            return Ok(None);
         };
-        if task.width as usize != width || !task.guesses.iter().all(is_one) {
-            return Err(foreign());
-        }
-        let guesses = (task.guesses.into_iter())
-            .map(|guess| (guess.x, guess.path.into_path(width)))
-            .collect();
-        let found = solve_near(&self.plan, &mut self.solver, guesses, task.least)?;
+        let found = solve_near(&worker.plan, &mut worker.solver, guesses, self.least)?;
         let found = found.into_iter().map(Found::of).collect();
-        Ok(Done { found }.encode_to_vec())
+        Ok(Some(Done { found }.encode_to_vec()))
     }
 }
 
@@ -133,7 +81,7 @@ impl Worker {
 ///
 /// # Errors
 /// [`BackendError::Workers`], [`BackendError::Foreign`].
-pub(super) fn solved_by(
+pub fn solved_by(
     workers: &dyn Workers,
     width: usize,
     guesses: &[(Vec<f64>, Path)],
@@ -149,45 +97,25 @@ pub(super) fn solved_by(
             x: x.clone(),
             path: Way::of(path),
         };
-        Task {
+        super::Task {
             width: width as u32,
-            least,
-            guesses: guesses.iter().map(guess).collect(),
+            ways: Some(Task {
+                least,
+                guesses: guesses.iter().map(guess).collect(),
+            }),
+            searched: None,
         }
-        .encode_to_vec()
-    };
-    let done = (workers.work(guesses.chunks(of_task).map(task).collect()))
-        .map_err(|why| BackendError::Workers { why })?;
-    let foreign = || BackendError::Foreign {
-        what: "a worker has answered what is no answer of this version",
     };
     let mut found = Vec::with_capacity(guesses.len());
-    for answer in done {
-        let done = Done::decode(answer.as_slice()).map_err(|_| foreign())?;
+    for answer in done_by(workers, guesses.chunks(of_task).map(task))? {
+        let done = Done::decode(answer.as_slice()).map_err(|_| foreign_answer())?;
         for one in done.found {
-            found.push(one.into_found(width).ok_or_else(foreign)?);
+            found.push(one.into_found(width).ok_or_else(foreign_answer)?);
         }
     }
     match found.len() == guesses.len() {
         true => Ok(Some(found)),
-        false => Err(foreign()),
-    }
-}
-
-impl Way {
-    fn of(path: &Path) -> Self {
-        Self {
-            nodes: path.nodes.clone(),
-            durations: path.durations.clone(),
-        }
-    }
-
-    fn into_path(self, width: usize) -> Path {
-        Path {
-            width,
-            nodes: self.nodes,
-            durations: self.durations,
-        }
+        false => Err(foreign_answer()),
     }
 }
 
@@ -202,12 +130,7 @@ impl Found {
             Err(miss) => Self {
                 path: None,
                 value: f64::NAN,
-                miss: miss.map(|miss| Missed {
-                    status: miss.status as i32,
-                    furthest: miss.furthest.unwrap_or_default(),
-                    left: miss.left,
-                    cut: miss.cut.as_ref().map(Way::of),
-                }),
+                miss: miss.as_ref().map(Missed::of),
             },
         }
     }
@@ -215,19 +138,38 @@ impl Found {
     /// `None` where it is not as this version writes it.
     fn into_found(self, width: usize) -> Option<FoundNear> {
         if let Some(way) = self.path {
-            let is_one = way.nodes.len() == width * (1 + way.durations.len());
-            return is_one.then(|| Ok((way.into_path(width), self.value)));
+            return Some(Ok((way.into_path(width)?, self.value)));
         }
-        let Some(miss) = self.miss else {
-            return Some(Err(None));
-        };
-        let (status, _) = (PointStatus::ALL.iter()).find(|(s, _)| *s as i32 == miss.status)?;
-        Some(Err(Some(Miss {
-            status: *status,
-            furthest: Some(miss.furthest).filter(|x| !x.is_empty()),
+        match self.miss {
+            Some(miss) => Some(Err(Some(miss.into_miss(width)?))),
+            None => Some(Err(None)),
+        }
+    }
+}
+
+impl Missed {
+    pub fn of(miss: &Miss) -> Self {
+        Self {
+            status: miss.status as i32,
+            furthest: miss.furthest.clone().unwrap_or_default(),
             left: miss.left,
-            cut: miss.cut.map(|way| way.into_path(width)),
-        })))
+            cut: miss.cut.as_ref().map(Way::of),
+        }
+    }
+
+    /// `None` where it is not as this version writes it.
+    pub fn into_miss(self, width: usize) -> Option<Miss> {
+        let (status, _) = (PointStatus::ALL.iter()).find(|(s, _)| *s as i32 == self.status)?;
+        let cut = match self.cut {
+            Some(way) => Some(way.into_path(width)?),
+            None => None,
+        };
+        Some(Miss {
+            status: *status,
+            furthest: Some(self.furthest).filter(|x| !x.is_empty()),
+            left: self.left,
+            cut,
+        })
     }
 }
 
@@ -253,11 +195,11 @@ mod tests {
 
         fn work(&self, tasks: Vec<Vec<u8>>) -> Result<Vec<Vec<u8>>, String> {
             let done = |task: Vec<u8>| {
-                let task = Task::decode(task.as_slice()).expect("it is a task");
-                let found = task
-                    .guesses
-                    .iter()
-                    .map(|guess| Found::of(Ok((guess.path.clone().into_path(4), guess.x[0]))));
+                let task = super::super::Task::decode(task.as_slice()).expect("it is a task");
+                let task = task.ways.expect("it is of ways");
+                let found = task.guesses.iter().map(|guess| {
+                    Found::of(Ok((guess.path.clone().into_path(4).unwrap(), guess.x[0])))
+                });
                 Done {
                     found: found.collect(),
                 }
