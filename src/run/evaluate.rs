@@ -1,11 +1,12 @@
 //! Closed loops and the dissipation inequality, simulated again into a result file.
 
+use super::shard::{Divided, LoopsDone, hash_of, loops};
 use super::{Provenance, RunError, sources};
 use crate::closed_loop::dissipation::Dissipation;
 use crate::closed_loop::{Evaluation, Weights};
 use crate::hdf5::ResultFile;
 use crate::result::{CLOSED_LOOP_GROUPS, DISSIPATION_GROUPS, RunRecord, Stored};
-use crate::session::{LoopOptions, Session, SessionError};
+use crate::session::{LoopOptions, Resume, Session, SessionError, Shard};
 use std::path::{Path, PathBuf};
 
 /// What came of it.
@@ -16,6 +17,49 @@ pub struct Evaluated {
     pub dissipation: Option<Dissipation>,
     /// The result file.
     pub path: PathBuf,
+}
+
+/// Simulates a shard of what the session's scene asks for in `[closed_loop]` into `out`, keeping what
+/// is done; `None`: all of it. Laws and V are those of [`evaluate`].
+///
+/// # Errors
+/// As [`evaluate`]; [`SessionError::DissipationNotDivided`]; what is wrong with what was kept before.
+pub fn evaluate_shard(
+    session: &Session<'_>,
+    (stored, added): (Option<&Stored>, Vec<Weights>),
+    options: &LoopOptions,
+    (shard, resume): (Option<Shard>, Resume),
+    out: &Path,
+    provenance: &Provenance,
+) -> Result<LoopsDone, RunError> {
+    let model = &session.scene().model;
+    match (&model.closed_loop, &model.dissipation) {
+        (None, None) => return Err(SessionError::NoClosedLoop.into()),
+        (None, Some(_)) => return Err(SessionError::DissipationNotDivided.into()),
+        (Some(_), Some(_)) => session
+            .progress()
+            .note("[dissipation] is left out: it is not divided into shards"),
+        (Some(_), None) => {}
+    }
+    // Results of one scene differ in when they were made at least.
+    let mut from = String::new();
+    if let Some(stored) = stored {
+        for name in ["created", "summary", "git_revision"] {
+            from += &stored.attribute(name).unwrap_or_default();
+        }
+        from += &stored.scene.model.text;
+    }
+    for weights in &added {
+        from += &format!("{}\n{}\n", weights.name, weights.text);
+    }
+    let from = hash_of(from.bytes());
+    let divided = Divided {
+        shard,
+        resume,
+        from: &from,
+    };
+    let sources = sources(stored, model, added, session.progress())?;
+    loops(session, (&sources, options), &divided, out, provenance)
 }
 
 /// Simulates what the session's scene asks for in `[closed_loop]` and `[dissipation]`. Laws and V

@@ -30,13 +30,14 @@ mod sources;
 
 pub use claims::claims;
 pub use error::RunError;
-pub use evaluate::{Evaluated, evaluate};
+pub use evaluate::{Evaluated, evaluate, evaluate_shard};
 pub use fit::{FittedFiles, LawFiles, fit_stored};
 pub use laws::{LawsDone, check as check_laws};
 pub use parts::write_attenuation;
 use parts::write_study;
 pub use shard::{
-    Asked, Kind, Manifest, MergeError, MergeOptions, Merged, StudyDone, listed, merge, study,
+    Asked, Kind, Loops, LoopsDone, Manifest, MergeError, MergeOptions, Merged, StudyDone, listed,
+    merge, study,
 };
 pub use sources::{fitted_laws, other_scene, sources, weights};
 

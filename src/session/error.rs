@@ -39,6 +39,8 @@ pub enum SessionError {
         "only states that are solved for are divided into shards and gone on with, not a sweep, a study or laws in one run with them"
     )]
     StatesAlone,
+    #[error("[dissipation] is not divided into shards, but [closed_loop] is: leave --shard out")]
+    DissipationNotDivided,
     #[error("the scene has no [study]")]
     NoStudy,
     #[error("how long to simulate? Give [simulation] time = ..., or --time")]

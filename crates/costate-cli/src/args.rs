@@ -384,6 +384,12 @@ pub struct EvaluateArgs {
     /// Seed of random initial states.
     #[arg(long, default_value_t = 0)]
     pub seed: u64,
+    /// With --shard or --resume: end after so many seconds with what is done by then, and exit
+    /// status 75. (A signal does the same.)
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub time_limit: Option<f64>,
+    #[command(flatten)]
+    pub part: ShardArgs,
     #[command(flatten)]
     pub print: PrintArgs,
 }

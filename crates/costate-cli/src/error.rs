@@ -210,6 +210,10 @@ pub enum ShardRefusal {
         min: usize,
         step: usize,
     },
+    #[error("a part of closed loops has a file of its own: name it (--out FILE.h5)")]
+    NoOut,
+    #[error("--time-limit is for parts that are gone on with: give --shard M/N, or --resume, too")]
+    NoLimit,
     #[error(
         "a shard's result is put together with others: name a result file (--out FILE.h5), not a table"
     )]

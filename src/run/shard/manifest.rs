@@ -4,6 +4,7 @@ use super::super::Provenance;
 use crate::model::Model;
 use crate::result::Stored;
 use crate::session::{Session, Shard, States, StatesAsked, Wanted};
+use crate::sweep::Numerics;
 use serde::{Deserialize, Serialize};
 
 /// What was asked for, beside the scene.
@@ -25,11 +26,40 @@ pub struct Asked {
     pub points: usize,
     /// A hash of all states' bits.
     pub states: String,
+    /// Of closed loops what they are of.
+    #[serde(default)]
+    pub loops: Option<Loops>,
+}
+
+/// Closed loops from the initial states of `[closed_loop]`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Loops {
+    /// So many initial states at random.
+    pub random: Option<usize>,
+    /// Their seed.
+    pub seed: u64,
+    /// V at them is solved for.
+    pub solve: bool,
+    /// The laws' names.
+    pub laws: Vec<String>,
+    /// What laws and V are taken from: a hash.
+    pub from: String,
 }
 
 impl Asked {
     /// All but the states themselves, in words.
     fn in_words(&self) -> String {
+        if let Some(loops) = &self.loops {
+            let states = match loops.random {
+                Some(count) => format!("{count} random states of seed {}", loops.seed),
+                None => "the scene's initial states".to_owned(),
+            };
+            let values = match loops.solve {
+                true => ", V solved for",
+                false => "",
+            };
+            return format!("laws {} from {states}{values}", loops.laws.join(", "));
+        }
         let of = match (self.listed, self.of_map) {
             (true, _) => "of a list",
             (false, true) => "of [map]",
@@ -59,6 +89,18 @@ pub enum Kind {
     States,
     /// Variants of a study.
     Study,
+    /// Initial states of closed loops.
+    ClosedLoop,
+}
+
+impl Kind {
+    fn in_words(self) -> &'static str {
+        match self {
+            Self::States => "states that are solved for",
+            Self::Study => "variants of a study",
+            Self::ClosedLoop => "closed loops",
+        }
+    }
 }
 
 /// What a file is a part of: those of one whole differ in `shard` alone.
@@ -124,7 +166,8 @@ impl Manifest {
                 grid_guesses: wanted.grid_guesses,
                 rows: targets.count(),
                 points: targets.points(),
-                states: hash_of(bits.iter().flat_map(|x| x.to_bits().to_le_bytes())),
+                states: of_numbers(&bits),
+                loops: None,
             },
             backend: session.backend().name().to_owned(),
             precision: plan.spec.precision.name().to_owned(),
@@ -162,6 +205,37 @@ impl Manifest {
         }
     }
 
+    /// Of a part of closed loops, of so many units; from states (`[state][component]`), and how
+    /// many.
+    pub(in crate::run) fn of_loops(
+        session: &Session<'_>,
+        (shard, units): (Option<Shard>, usize),
+        (loops, (states, count), numerics): (Loops, (&[f64], usize), Numerics),
+        provenance: &Provenance,
+    ) -> Self {
+        let (model, choices) = (&session.scene().model, &session.choices);
+        let method = choices.method.or(model.integrator.method);
+        Self {
+            of: Kind::ClosedLoop,
+            shard: shard.map_or(0, Shard::number),
+            shards: shard.map_or(1, Shard::of),
+            units,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            revision: provenance.git_revision.clone(),
+            scene: of_scene(model),
+            asked: Asked {
+                rows: count,
+                states: of_numbers(states),
+                loops: Some(loops),
+                ..Asked::default()
+            },
+            backend: session.backend().name().to_owned(),
+            precision: numerics.precision.name().to_owned(),
+            method: method.map_or("auto", |method| method.name()).to_owned(),
+            rtol: numerics.rtol_asked,
+        }
+    }
+
     /// That of a file; `None` where it is no part of anything.
     #[must_use]
     pub fn read(stored: &Stored) -> Option<Self> {
@@ -195,10 +269,10 @@ impl Manifest {
     }
 
     /// What is the same in all parts, in words.
-    fn named(&self) -> [(&'static str, String); 11] {
+    fn named(&self) -> [(&'static str, String); 12] {
         let asked = &self.asked;
         [
-            ("kind of work", format!("{:?}", self.of).to_lowercase()),
+            ("kind of work", self.of.in_words().to_owned()),
             ("version of costate", self.version.clone()),
             ("commit that costate was built from", self.revision.clone()),
             ("scene (with --set)", self.scene.clone()),
@@ -214,6 +288,13 @@ impl Manifest {
                 "method and tolerance",
                 format!("{}, {:e}", self.method, self.rtol),
             ),
+            (
+                "what laws and V are taken from",
+                asked
+                    .loops
+                    .as_ref()
+                    .map_or_else(String::new, |l| l.from.clone()),
+            ),
             ("number of units", self.units.to_string()),
         ]
     }
@@ -228,9 +309,14 @@ fn of_scene(model: &Model) -> String {
     hash_of(text.bytes())
 }
 
+/// Of the bits of numbers.
+fn of_numbers(numbers: &[f64]) -> String {
+    hash_of(numbers.iter().flat_map(|x| x.to_bits().to_le_bytes()))
+}
+
 /// FNV-1a of 64 bits (Fowler, Noll, Vo; draft-eastlake-fnv), in hexadecimal: tells apart what was
 /// not meant to be alike.
-fn hash_of(bytes: impl IntoIterator<Item = u8>) -> String {
+pub(in crate::run) fn hash_of(bytes: impl IntoIterator<Item = u8>) -> String {
     let hash = (bytes.into_iter()).fold(0xcbf2_9ce4_8422_2325u64, |hash, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
     });

@@ -1,6 +1,7 @@
 //! Parts put together: what is asked, and what is refused.
 
 use super::super::{Provenance, RunError};
+use super::loops;
 use super::manifest::Kind;
 use super::source::Source;
 use super::study;
@@ -148,6 +149,7 @@ pub fn merge(
             super::write_whole(&file, &first.manifest)?;
             (session.finish(file, provenance)?, summary)
         }
+        Kind::ClosedLoop => loops::assemble(&session, &sources, (gaps, out), provenance)?,
     };
     Ok(Merged {
         files: sources.len(),

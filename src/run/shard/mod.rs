@@ -1,6 +1,7 @@
 //! Files of parts of the whole: what each says of itself, and how they become one.
 
 mod before;
+mod loops;
 mod manifest;
 mod merge;
 mod part;
@@ -10,7 +11,10 @@ mod stream;
 mod study;
 mod whole;
 
-pub use manifest::{Asked, Kind, Manifest};
+pub use loops::LoopsDone;
+pub(super) use loops::{Divided, loops};
+pub(super) use manifest::hash_of;
+pub use manifest::{Asked, Kind, Loops, Manifest};
 pub use merge::{MergeError, MergeOptions, Merged, listed, merge};
 pub(super) use part::run;
 pub use study::{StudyDone, study};

@@ -1,13 +1,16 @@
 //! `costate evaluate`: laws simulated side by side.
 
 use crate::args::EvaluateArgs;
+use crate::common::ending::Ending;
 use crate::common::load::loaded;
-use crate::common::{Kind, check_out, note_ended_early, print_json, provenance};
-use crate::error::CliError;
+use crate::common::{Kind, check_out, note_ended_early, print_json, provenance, shard};
+use crate::error::{CliError, ShardRefusal};
 use crate::terminal::Terminal;
 use costate::low_level::closed_loop::Weights;
 use costate::low_level::result::Stored;
-use costate::run::{evaluate as simulate, other_scene, weights};
+use costate::run::{
+    LoopsDone, Provenance, evaluate as simulate, evaluate_shard, other_scene, weights,
+};
 use costate::session::summary::{DissipationSummary, EvaluationSummary};
 use costate::session::{LoopOptions, Session, SessionError};
 use serde_json::json;
@@ -55,6 +58,20 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
         .choosing(args.numerics.choices(args.seed))
         .with_progress(&terminal);
     let out = args.out.as_deref();
+    let shard = shard::of(args.part, &terminal)?;
+    if shard.is_some() || args.part.resume {
+        let out = out.ok_or(ShardRefusal::NoOut)?;
+        let ending = Ending::of_loops(args, &provenance);
+        let session = session.until(ending.deadline);
+        let part = (shard, shard::resume(args.part));
+        let laws = (stored.as_ref(), added);
+        let done = evaluate_shard(&session, laws, &options, part, out, &provenance)?;
+        terminal.ended()?;
+        return finished(args, (&done, &provenance), &terminal, &ending);
+    }
+    if args.time_limit.is_some() {
+        return Err(ShardRefusal::NoLimit.into());
+    }
     let done = simulate(&session, stored.as_ref(), added, &options, out, &provenance)?;
     terminal.ended()?;
 
@@ -71,4 +88,27 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     }
     let (seconds, path) = (provenance.seconds(), done.path.display());
     Ok(terminal.say(&format!("{seconds:.2} s, written to {path}"))?)
+}
+
+/// Tells of a part.
+fn finished(
+    args: &EvaluateArgs,
+    (done, provenance): (&LoopsDone, &Provenance),
+    terminal: &Terminal,
+    ending: &Ending,
+) -> Result<(), CliError> {
+    let path = &done.path;
+    if args.print.json {
+        let summary = match &done.evaluation {
+            Some(evaluation) => json!(EvaluationSummary::new(evaluation, path)),
+            None => json!({ "file": path.display().to_string() }),
+        };
+        print_json(&summary)?;
+    }
+    let (seconds, shown) = (provenance.seconds(), path.display());
+    terminal.say(&format!("{seconds:.2} s, written to {shown}"))?;
+    match done.stopped {
+        true => Err(ending.stopped(path.clone())),
+        false => Ok(()),
+    }
 }

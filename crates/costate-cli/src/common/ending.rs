@@ -1,6 +1,6 @@
 //! When a command ends before it is done: at its time limit, or when a signal asks it to.
 
-use crate::args::{FitArgs, RunArgs, SimulateArgs};
+use crate::args::{EvaluateArgs, FitArgs, RunArgs, SimulateArgs};
 use crate::error::CliError;
 use costate::backend::{BackendError, Deadline};
 use costate::low_level::files::stop_at_signals;
@@ -32,6 +32,11 @@ impl Ending {
     /// The same for `fit`, from now on.
     pub fn of_fit(args: &FitArgs) -> Self {
         Self::saying(KEPT, args.time_limit, args.print.quiet, Instant::now())
+    }
+
+    /// The same for a part of `evaluate`.
+    pub fn of_loops(args: &EvaluateArgs, provenance: &Provenance) -> Self {
+        Self::saying(KEPT, args.time_limit, args.print.quiet, provenance.clock)
     }
 
     /// The same for a command of which a part shows nothing.
