@@ -1,5 +1,9 @@
 //! Work divided into shards, put together again, and gone on with.
 
+mod copies;
+mod loops;
+mod resume;
+
 use crate::common_commands::{in_schema, scenario, scratch};
 use costate::low_level::result::Stored;
 use std::fmt::Write;
