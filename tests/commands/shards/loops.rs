@@ -15,7 +15,7 @@ cost = { running = "0.5*(x^2 + v^2 + u^2)" }
 equilibrium = { x = 0, v = 0, u = 0 }
 region = { x = [-1, 1], v = [-1, 1] }
 map = { error = 1e-2, states = 200, check = 20 }
-guards.slow = "0.9 - v"
+guards.slow = "v < 0.9"
 
 [closed_loop]
 laws = ["lqr", "map", "soft"]
