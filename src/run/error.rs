@@ -35,6 +35,8 @@ pub enum RunError {
     LawsLeftOut { laws: String, path: PathBuf },
     #[error("law `{name}` would be written to {path}, which is the scene: give another --out", path = path.display())]
     OverScene { name: String, path: PathBuf },
+    #[error("{file} gives no first guesses: {why}; leave --archive out, or name the result of `costate shoot-out` of this scene", file = file.display())]
+    NoSweep { file: PathBuf, why: &'static str },
     #[error("the states and controls of {scene} are not those of {file}", scene = scene.display(), file = file.display())]
     OtherScene { scene: PathBuf, file: PathBuf },
 }

@@ -1,6 +1,7 @@
 //! Closed loops and the dissipation inequality, simulated again into a result file.
 
 use super::shard::{Divided, LoopsDone, hash_of, loops};
+use super::sources::told_apart;
 use super::{Provenance, RunError, sources};
 use crate::closed_loop::dissipation::Dissipation;
 use crate::closed_loop::{Evaluation, Weights};
@@ -44,10 +45,7 @@ pub fn evaluate_shard(
     // Results of one scene differ in when they were made at least.
     let mut from = String::new();
     if let Some(stored) = stored {
-        for name in ["created", "summary", "git_revision"] {
-            from += &stored.attribute(name).unwrap_or_default();
-        }
-        from += &stored.scene.model.text;
+        from += &told_apart(stored);
     }
     for weights in &added {
         from += &format!("{}\n{}\n", weights.name, weights.text);

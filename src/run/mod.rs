@@ -39,7 +39,7 @@ pub use shard::{
     Asked, Kind, Loops, LoopsDone, Manifest, MergeError, MergeOptions, Merged, StudyDone, listed,
     merge, study,
 };
-pub use sources::{fitted_laws, other_scene, sources, weights};
+pub use sources::{archive, fitted_laws, other_scene, sources, weights};
 
 use crate::files::{Draft, target};
 use crate::hdf5::ResultFile;

@@ -6,7 +6,7 @@ use crate::model::Model;
 use crate::result::{Stored, StoredError};
 use crate::scene::Scene;
 use crate::schema;
-use crate::session::{Progress, Sources, same_problem};
+use crate::session::{GivenSweep, Progress, Sources, same_problem};
 use std::path::Path;
 
 /// The map, solved states and fitted laws of a result file, for closed loops of `model`; `added`
@@ -42,6 +42,48 @@ pub fn sources(
         fitted: fitted_laws(stored)?,
         added,
         other_problem: !same,
+    })
+}
+
+/// What tells a result from others, in a word: two of one scene differ in when they were made at
+/// least.
+pub(super) fn told_apart(stored: &Stored) -> String {
+    let of = |name: &str| stored.attribute(name).unwrap_or_default();
+    let text = [
+        of("created"),
+        of("summary"),
+        of("git_revision"),
+        stored.scene.model.text.clone(),
+    ];
+    super::shard::hash_of(text.concat().bytes())
+}
+
+/// The trajectories of a result file as first guesses for states of `model`.
+///
+/// # Errors
+/// [`RunError::NoSweep`] where it has none of these equations, with costates and times.
+pub fn archive(stored: &Stored, model: &Model) -> Result<GivenSweep, RunError> {
+    let refused = |why: &'static str| RunError::NoSweep {
+        file: stored.path.clone(),
+        why,
+    };
+    if !same_problem(&stored.scene.model, model) {
+        return Err(refused(
+            "it is of other equations, another cost or other parameters",
+        ));
+    }
+    let swept = stored.trajectories()?;
+    let swept =
+        swept.ok_or_else(|| refused("it has no trajectories (costate shoot-out makes them)"))?;
+    if !swept.is_full() {
+        return Err(refused("it has values alone (--values-only)"));
+    }
+    if stored.has_attribute("stopped") {
+        return Err(refused("its sweep was ended before it was done"));
+    }
+    Ok(GivenSweep {
+        swept,
+        of: told_apart(stored),
     })
 }
 

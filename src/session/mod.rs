@@ -30,7 +30,7 @@ pub use pass::{Checkpoint, Outcome, Part, Pass, SoFar, sweep_and_write};
 pub use progress::{Finished, Progress, Silent};
 pub use shard::{Shard, ShardError};
 pub use simulation::{ControlledBy, Cycles, Simulated, SimulationOptions, end_name, some_states};
-pub use wanted::{Kept, Listed, Resume, States, Wanted};
+pub use wanted::{GivenSweep, Kept, Listed, Resume, States, Wanted};
 
 use crate::attenuation::{self, Attenuated};
 use crate::backend::cpu::Cpu;

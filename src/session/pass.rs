@@ -3,7 +3,7 @@
 
 use super::estimates::Estimates;
 use super::progress::{Progress, Step};
-use super::wanted::{Kept, Targets, Wanted};
+use super::wanted::{GivenSweep, Kept, Targets, Wanted};
 use super::{Session, SessionError, Shard};
 use crate::backend::cpu::in_pool;
 use crate::backend::{Backend, BackendError, Deadline, Trajectories};
@@ -31,6 +31,7 @@ pub struct Pass<'s> {
     kept: Kept,
     study: bool,
     grid_guesses: bool,
+    archive: Option<Arc<GivenSweep>>,
     shard: Option<Shard>,
     /// Blocks that are not solved, since they were before.
     done: Vec<usize>,
@@ -183,6 +184,7 @@ impl Session<'_> {
             kept: wanted.kept,
             study: wanted.study && model.study.is_some(),
             grid_guesses: wanted.grid_guesses,
+            archive: wanted.archive.clone(),
             shard: wanted.shard,
             done: Vec::new(),
             checkpoint: None,
@@ -340,6 +342,7 @@ impl Pass<'_> {
             stored,
             study,
             grid_guesses,
+            archive: given,
             shard,
             done,
             mut checkpoint,
@@ -353,8 +356,12 @@ impl Pass<'_> {
 
         let solves = outcome.targets.is_some() || aim.is_some();
         let mut archive = solves.then(|| Archive::new(&outcome.plan));
-        let direct = !stored && value::goes_without_sweep(&outcome.plan);
-        if !direct {
+        // A sweep that was made before leaves no reason to make one.
+        let given = given.filter(|_| !stored && value::may_use_sweep(&outcome.plan));
+        let direct = !stored && given.is_none() && value::goes_without_sweep(&outcome.plan);
+        if let Some(given) = given {
+            archive = solves.then(|| Archive::of_stored(&outcome.plan, &given.swept));
+        } else if !direct {
             let write = stores_sweep.then_some(write);
             outcome.swept = session.sweep_into(&outcome.plan, archive.as_mut(), write)?;
         }

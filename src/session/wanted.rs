@@ -2,7 +2,9 @@
 
 use super::{SessionError, Shard};
 use crate::model::Model;
+use crate::trajectories::SweptTrajectories;
 use crate::value::{Grid, Request};
+use std::sync::Arc;
 
 /// What is asked of a scene.
 ///
@@ -29,10 +31,22 @@ pub struct Wanted {
     pub laws: bool,
     /// First guesses also come from V on a grid (slower; up to 4 states, no games).
     pub grid_guesses: bool,
+    /// First guesses come from these trajectories, where states need a sweep for them; without any it
+    /// is made.
+    pub archive: Option<Arc<GivenSweep>>,
     /// Only this part of it. What is not divided, every shard does (the sweep for first guesses).
     pub shard: Option<Shard>,
     /// Whether what is done is kept for a later run, and what an earlier one has kept is used.
     pub resume: Resume,
+}
+
+/// Trajectories that were swept before.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct GivenSweep {
+    /// They, with their costates and times.
+    pub swept: SweptTrajectories,
+    /// What tells them from others, in a word.
+    pub of: String,
 }
 
 /// Whether work that is ended can be gone on with.
@@ -101,6 +115,7 @@ impl Wanted {
             study: true,
             laws: true,
             grid_guesses: false,
+            archive: None,
             shard: None,
             resume: Resume::Never,
         }

@@ -4,6 +4,7 @@ use super::nearest::{self, Nearest};
 use crate::backend::{Backend, BackendError, Status, Trajectories};
 use crate::shooting::{End, Path};
 use crate::sweep::{Plan, Sampling, SweepReport, sweep_keeping};
+use crate::trajectories::SweptTrajectories;
 
 /// Points kept at most; above it every second trajectory is left out.
 const MOST_NUMBERS: usize = 48 << 20;
@@ -32,6 +33,33 @@ pub struct Archive {
     seen: usize,
     /// A finite horizon's trajectories are of use only whole.
     whole: bool,
+}
+
+/// A node and V some time later, by the classical method of Runge and Kutta: good enough for a guess.
+fn carried(plan: &Plan, node: &[f64], v: f64, time: f64) -> (Vec<f64>, f64) {
+    const STEPS: usize = 16;
+    let (system, width) = (&plan.system, node.len());
+    // Rates are those of backward time.
+    let rate = |z: &[f64]| -> Vec<f64> {
+        let rates = system.eval(&system.rate, &z[..width / 2], &z[width / 2..width]);
+        rates[..=width].iter().map(|r| -r).collect()
+    };
+    let h = time / STEPS as f64;
+    let moved = |z: &[f64], by: &[f64], h: f64| -> Vec<f64> {
+        z.iter().zip(by).map(|(z, r)| z + h * r).collect()
+    };
+    let mut z: Vec<f64> = node.iter().copied().chain([v]).collect();
+    for _ in 0..STEPS {
+        let a = rate(&z);
+        let b = rate(&moved(&z, &a, 0.5 * h));
+        let c = rate(&moved(&z, &b, 0.5 * h));
+        let d = rate(&moved(&z, &c, h));
+        for k in 0..=width {
+            z[k] += h / 6.0 * (a[k] + 2.0 * (b[k] + c[k]) + d[k]);
+        }
+    }
+    let v = z.pop().unwrap_or(f64::NAN);
+    (z, v)
 }
 
 /// A point of an archived trajectory.
@@ -68,6 +96,60 @@ impl Archive {
     ) -> Result<SweepReport, BackendError> {
         let mut keep = |seeds: &[f64], batch: &Trajectories| self.keep(seeds, batch);
         sweep_keeping(plan, backend, &mut |_, _| {}, &mut keep, None)
+    }
+
+    /// Of trajectories as a result file has them, with the states, costates and times of all.
+    ///
+    /// Files have no seeds, but for the points nearest to them. On a finite horizon what is left to
+    /// its end is integrated; else a guess ends where the file's trajectory does, and is led on by
+    /// the local solution.
+    pub fn of_stored(plan: &Plan, swept: &SweptTrajectories) -> Self {
+        let mut this = Self::new(plan);
+        let n = plan.system.states;
+        let end_time = plan.system.terminal.as_ref().map(|terminal| terminal.time);
+        for i in 0..swept.count {
+            let is_known = |k: &usize| !swept.v[i * swept.samples + k].is_nan();
+            let is_whole = swept.status[i] == Status::Reached as i32 && is_known(&0);
+            if this.whole && !is_whole {
+                continue;
+            }
+            // Times rise along a trajectory; here the seed comes first.
+            let known: Vec<usize> = (0..swept.samples).rev().filter(is_known).collect();
+            let Some(&first) = known.first() else {
+                continue;
+            };
+            let node = |k: usize| -> Vec<f64> {
+                let at = (i * swept.samples + k) * n;
+                let s = swept.x[at..at + n].iter().zip(&plan.system.reference);
+                let s = s.map(|(x, reference)| x - reference);
+                s.chain(swept.p[at..at + n].iter().copied()).collect()
+            };
+            let time = |k: usize| swept.t[i * swept.samples + k];
+            let origin = match end_time {
+                Some(end) => {
+                    let left = end - time(first);
+                    if left > 0.0 {
+                        this.times.push(0.0);
+                        let (z, v) =
+                            carried(plan, &node(first), swept.v[i * swept.samples + first], left);
+                        this.points.extend(z.iter().chain([&v]).map(|x| *x as f32));
+                    }
+                    end
+                }
+                None => time(first),
+            };
+            for k in known {
+                this.times.push(origin - time(k));
+                let v = swept.v[i * swept.samples + k];
+                this.points
+                    .extend(node(k).iter().chain([&v]).map(|x| *x as f32));
+            }
+            this.first.push(this.times.len());
+        }
+        while this.points.len() > MOST_NUMBERS {
+            this.thin();
+        }
+        this
     }
 
     /// Keeps a batch of the sweep.

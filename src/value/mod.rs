@@ -37,7 +37,7 @@ pub use referee::{Claims, Comparison, Flown, Led, referee};
 pub use sampled::sampled;
 pub use solve::{
     Answers, Common, Entry, EqualCost, Evidence, Request, for_guesses, goes_without_sweep,
-    guess_seeds, may_need_sweep, solve, solve_targets, solver, spaced,
+    guess_seeds, may_need_sweep, may_use_sweep, solve, solve_targets, solver, spaced,
 };
 pub use states::{StatesError, count_blocks, solve_blocks, solve_states, solve_states_folding};
 pub use survey::{Miss, PointStatus, Progress, Support, Survey, Wanted};

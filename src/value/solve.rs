@@ -359,6 +359,11 @@ pub fn may_need_sweep(plan: &Plan) -> bool {
     plan.can_be_swept() && !Cover::serves(plan)
 }
 
+/// Whether states may be led to from a sweep's trajectories: the search makes its own else.
+pub fn may_use_sweep(plan: &Plan) -> bool {
+    !goes_without_sweep(plan) || may_need_sweep(plan)
+}
+
 /// Whether states are solved for without a sweep for first guesses, at first: where the search
 /// makes its own, or a sweep takes much longer than they do. In a game a sweep shows folds too, and
 /// is made wherever it can be.

@@ -21,9 +21,9 @@ pub enum Command {
     /// Only the sweep outward from the equilibrium (or from the terminal cost).
     ShootOut(RunArgs),
     /// Only V, p and u at the states of [homotopy] and [map], with every sheet found there.
-    Homotopy(DividedArgs),
+    Homotopy(StatesArgs),
     /// Only [map]: V, p and u on its grid, or the map to an error.
-    Map(DividedArgs),
+    Map(StatesArgs),
     /// V, p and u at the states in a CSV file, in its order.
     Solve(SolveArgs),
     /// V, p and u at any state, interpolated from a result file, with an error estimate.
@@ -278,6 +278,27 @@ pub struct DividedArgs {
     pub part: ShardArgs,
 }
 
+/// States of a scene.
+#[derive(Args, Debug, Clone)]
+pub struct StatesArgs {
+    #[command(flatten)]
+    pub run: RunArgs,
+    #[command(flatten)]
+    pub part: ShardArgs,
+    #[command(flatten)]
+    pub archive: ArchiveArgs,
+}
+
+/// Where first guesses come from.
+#[derive(Args, Debug, Clone)]
+pub struct ArchiveArgs {
+    /// Take first guesses from the trajectories of this result file, where states need a sweep for
+    /// them (games; finite horizons of four and more states): the result of `costate shoot-out` of
+    /// the same scene. Without it each run, and each shard, makes a sweep of its own.
+    #[arg(long, value_name = "FILE.h5")]
+    pub archive: Option<PathBuf>,
+}
+
 #[derive(Args, Debug, Clone)]
 pub struct MergeArgs {
     /// The results of the shards.
@@ -299,6 +320,8 @@ pub struct SolveArgs {
     pub run: RunArgs,
     #[command(flatten)]
     pub part: ShardArgs,
+    #[command(flatten)]
+    pub archive: ArchiveArgs,
     /// The states: a CSV file whose header names states. States it does not name are at the
     /// equilibrium.
     #[arg(long, value_name = "FILE.csv")]

@@ -20,6 +20,9 @@ pub struct Asked {
     pub samples: Option<usize>,
     /// First guesses also come from V on a grid.
     pub grid_guesses: bool,
+    /// What tells the sweep that first guesses are taken from, if one is given.
+    #[serde(default)]
+    pub archive: Option<String>,
     /// States in all.
     pub rows: usize,
     /// How many of them, from the first on, belong to `/points`.
@@ -75,6 +78,9 @@ impl Asked {
         }
         if self.grid_guesses {
             words += ", guesses from a grid";
+        }
+        if let Some(archive) = &self.archive {
+            words += &format!(", guesses from the sweep {archive}");
         }
         words
     }
@@ -164,6 +170,7 @@ impl Manifest {
                 one_sheet,
                 samples,
                 grid_guesses: wanted.grid_guesses,
+                archive: wanted.archive.as_ref().map(|given| given.of.clone()),
                 rows: targets.count(),
                 points: targets.points(),
                 states: of_numbers(&bits),

@@ -1,6 +1,6 @@
 //! `costate run` and its parts.
 
-use crate::args::{RunArgs, ShardArgs, SolveArgs};
+use crate::args::{RunArgs, ShardArgs, SolveArgs, StatesArgs};
 use crate::common::ending::Ending;
 use crate::common::load::load;
 use crate::common::{Kind, check_out, pictures, points, print_json, provenance, shard};
@@ -11,21 +11,25 @@ use crate::text::listed;
 use costate::low_level::dynamic_programming;
 use costate::low_level::files::{target, write_text};
 use costate::low_level::model::Model;
-use costate::run::{Done, Provenance, note_replaced, output_of, output_of_points, path_of_stopped};
+use costate::low_level::result::Stored;
+use costate::run::{
+    Done, Provenance, archive, note_replaced, output_of, output_of_points, path_of_stopped,
+};
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
 use costate::session::{Finished, Kept, Listed, Progress, Session, SessionError, States, Wanted};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Which parts of a scene to run.
 #[derive(Clone, Copy)]
 pub enum Parts<'a> {
     All,
     ShootOut,
-    Homotopy(ShardArgs),
-    Map(ShardArgs),
+    Homotopy(&'a StatesArgs),
+    Map(&'a StatesArgs),
     Solve(&'a SolveArgs),
 }
 
@@ -42,6 +46,9 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     }
     let mut wanted = parts.wanted(args, model)?;
     let terminal = Terminal::new(args.scene.print);
+    if let Some(path) = parts.archive() {
+        wanted.archive = Some(Arc::new(archive(&Stored::open(path)?, model)?));
+    }
     if let Some(part) = parts.part() {
         wanted.shard = shard::of(part, &terminal)?;
         if table && (wanted.shard.is_some() || part.resume) {
@@ -112,9 +119,19 @@ impl<'a> Parts<'a> {
     fn part(self) -> Option<ShardArgs> {
         match self {
             Parts::Solve(solve) => Some(solve.part),
-            Parts::Homotopy(part) | Parts::Map(part) => Some(part),
+            Parts::Homotopy(args) | Parts::Map(args) => Some(args.part),
             Parts::All | Parts::ShootOut => None,
         }
+    }
+
+    /// The result whose trajectories are first guesses.
+    fn archive(self) -> Option<&'a Path> {
+        let archive = match self {
+            Parts::Solve(solve) => &solve.archive,
+            Parts::Homotopy(args) | Parts::Map(args) => &args.archive,
+            Parts::All | Parts::ShootOut => return None,
+        };
+        archive.archive.as_deref()
     }
 
     /// What the session is asked for.
@@ -149,7 +166,8 @@ impl<'a> Parts<'a> {
 /// Refuses an `--out` that is an input, or of the wrong kind.
 fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let inputs = [Some(&args.scene.scenario), parts.solve().map(|s| &s.points)];
-    let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+    let inputs = inputs.into_iter().flatten().map(PathBuf::as_path);
+    let inputs: Vec<&Path> = inputs.chain(parts.archive()).collect();
     let kinds: &[Kind] = match parts {
         Parts::Solve(_) => &[Kind::Result, Kind::Table],
         _ => &[Kind::Result],
