@@ -84,8 +84,50 @@ def test_a_map_is_as_here(problem, client):
     same(problem.map(), distributed.map(problem, client, shards=3))
     fine = distributed.map(problem, client, counts=40)
     assert fine["V"].shape == (40, 40)
-    with pytest.raises(pycostate.InputError, match="not divided"):
-        distributed.map(problem.having(map={"error": 1e-3}), client)
+
+
+def test_a_map_to_an_error_is_as_here(client, tmp_path):
+    """Its rounds are of states near others (one sheet), and of states searched for all sheets."""
+    smooth = pycostate.Problem.parse(LINEAR).using(backend="cpu")
+    pendulum = pycostate.Problem.load(ROOT / "scenarios" / "pendulum.toml").using(backend="cpu")
+    pendulum = pendulum.having(map={"error": 3e-2, "states": 1200, "check": 40})
+    for problem, error in [(smooth, 1e-5), (pendulum, None)]:
+        a, b = tmp_path / "a.h5", tmp_path / "b.h5"
+        here = problem.map(error=error, counts=21, out=a)
+        work = distributed.map(problem, client, error=error, counts=21, out=b, wait=False)
+        there = work.result()
+        assert "done" in repr(work) and work._crew.rounds > 1
+        same(here, there)
+        one, other = pycostate.Value(a), pycostate.Value(b)
+        x = np.random.default_rng(0).uniform(-1, 1, (50, 2))
+        assert np.array_equal(one(x), other(x), equal_nan=True)
+    for wrong in [{"shards": 3}, {"folder": tmp_path}]:
+        with pytest.raises(pycostate.InputError, match="round by round"):
+            distributed.map(smooth, client, error=1e-3, **wrong)
+    work = distributed.map(pendulum, client, wait=False)
+    work.cancel()
+    with pytest.raises(pycostate.CostateError, match="given up"):
+        work.result()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_map_to_an_error_outlives_its_workers(cluster, client):
+    """Workers are killed while they solve for the states of its rounds."""
+    problem = pycostate.Problem.load(ROOT / "scenarios" / "pendulum.toml").using(backend="cpu")
+    problem = problem.having(map={"error": 3e-2, "states": 1200, "check": 40})
+    here = problem.map(counts=21)
+    work = distributed.map(problem, client, counts=21, retries=50, wait=False)
+    kills = 0
+    while "done" not in repr(work) and kills < 2:
+        if any(future.status == "pending" for future in work.futures):
+            workers = [w.pid for w in cluster.workers.values() if w.pid is not None]
+            if len(workers) == 2:
+                os.kill(workers[kills % 2], signal.SIGKILL)
+                kills += 1
+        ended = threading.Event()
+        ended.wait(1.0 if kills else 0.02)
+    same(here, work.result())
+    assert kills > 0
 
 
 def test_flights_are_as_here(client):

@@ -1,5 +1,6 @@
 //! Work divided into shards, put together again, and gone on with.
 
+mod archive;
 mod copies;
 mod loops;
 mod resume;
