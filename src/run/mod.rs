@@ -329,8 +329,19 @@ pub fn path_of_stopped(path: &Path) -> PathBuf {
 
 /// That name beside the finished one's.
 fn stopped_beside(path: &Path) -> PathBuf {
+    beside(path, STOPPED)
+}
+
+/// What the names of the results of shards end in.
+#[must_use]
+pub fn of_shard(number: usize, of: usize) -> String {
+    format!("_{number}_of_{of}")
+}
+
+/// A name beside a file's, with an ending.
+fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.file_stem().unwrap_or_default().to_owned();
-    name.push(STOPPED);
+    name.push(ending);
     if let Some(ending) = path.extension() {
         name.push(".");
         name.push(ending);

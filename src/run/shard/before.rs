@@ -1,6 +1,6 @@
 //! What an earlier run of the same work has left: a result that is gone on with, or that is done.
 
-use super::super::{RunError, note_replaced, path_of_stopped, stopped_beside};
+use super::super::{RunError, beside, note_replaced, of_shard, path_of_stopped, stopped_beside};
 use super::manifest::Manifest;
 use super::merge::MergeError;
 use super::source::Source;
@@ -41,6 +41,10 @@ impl Before {
             },
             ..Self::default()
         };
+        if let Some(shard) = other_shard(path, manifest) {
+            let path = path.to_owned();
+            return Err(MergeError::OtherShard { path, shard }.into());
+        }
         if !matches!(resume, Resume::Now(_)) {
             return Ok(this);
         }
@@ -84,14 +88,25 @@ impl Before {
     }
 
     /// Where what is unfinished, or the result, goes; what is replaced there is said.
-    pub fn place(&self, session: &Session<'_>, stopped: bool) -> &Path {
-        if !stopped {
-            return &self.path;
+    pub fn place(&mut self, session: &Session<'_>, manifest: &Manifest, stopped: bool) -> PathBuf {
+        let to = match stopped {
+            true => &mut self.unfinished,
+            false => &mut self.path,
+        };
+        // Another shard may have come there meanwhile.
+        if other_shard(to, manifest).is_some() {
+            let taken =
+                std::mem::replace(to, beside(to, &of_shard(manifest.shard, manifest.shards)));
+            (session.progress()).note(&format!(
+                "{} is the result of another shard now, and stays: this one's goes to {}",
+                taken.display(),
+                to.display()
+            ));
         }
-        if self.kept.is_empty() {
-            note_replaced(session, &self.unfinished);
+        if stopped && self.kept.is_empty() {
+            note_replaced(session, to);
         }
-        &self.unfinished
+        to.clone()
     }
 
     /// Says that all was done before.
@@ -109,6 +124,14 @@ impl Before {
             }
         }
     }
+}
+
+/// Which shard's result is at a path, if it is that of another shard of the same whole.
+fn other_shard(path: &Path, manifest: &Manifest) -> Option<usize> {
+    let there = (path.exists()).then(|| Source::open(path).ok()).flatten()?;
+    let other = &there.manifest;
+    let is_other = other.shard != manifest.shard && manifest.differs(other).is_none();
+    is_other.then_some(other.shard)
 }
 
 /// Says that what is done could not be kept, if so.

@@ -70,7 +70,7 @@ pub fn loops(
         (asked, states, numerics),
         provenance,
     );
-    let before = Before::at(&path, &manifest, divided.resume)?;
+    let mut before = Before::at(&path, &manifest, divided.resume)?;
     if before.finished.is_some() {
         before.note_finished(session);
         before.clear(&manifest);
@@ -127,10 +127,10 @@ pub fn loops(
         }
     }
 
-    let to = before.place(session, stopped);
+    let to = before.place(session, &manifest, stopped);
     let (path, evaluation) = match divided.shard.is_some() || stopped {
-        true => part.write(&gathered, &done, (to, stopped))?,
-        false => part.whole(gathered, to)?,
+        true => part.write(&gathered, &done, (&to, stopped))?,
+        false => part.whole(gathered, &to)?,
     };
     if let Some(evaluation) = &evaluation {
         loops.tell(evaluation);

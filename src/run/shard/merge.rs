@@ -96,6 +96,11 @@ pub enum MergeError {
         path = path.display()
     )]
     OtherWork { path: PathBuf },
+    #[error(
+        "{path} is the result of shard {shard}: each shard has a file of its own (--out; without it costate finds a name)",
+        path = path.display()
+    )]
+    OtherShard { path: PathBuf, shard: usize },
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
 }

@@ -132,7 +132,7 @@ impl Work<'_> {
         };
         let model = &self.session.scene().model;
         let sources = std::mem::take(&mut before.sources);
-        let to = before.place(self.session, outcome.stopped);
+        let to = &before.place(self.session, &self.manifest, outcome.stopped);
         if sources.is_empty() && !outcome.stopped && self.wanted.shard.is_none() {
             let mut file = ResultFile::create(to)?;
             write_outcome(&mut file, outcome, model, &self.schema)?;

@@ -49,7 +49,7 @@ pub fn study(
     let path = target(path)?;
     drop(Draft::begin(&path)?);
     let manifest = Manifest::of_study(session, shard, count, provenance);
-    let before = Before::at(&path, &manifest, resume)?;
+    let mut before = Before::at(&path, &manifest, resume)?;
     if let Some(stored) = &before.finished {
         before.note_finished(session);
         before.clear(&manifest);
@@ -97,10 +97,10 @@ pub fn study(
     known.extend(left.into_iter().zip(made));
 
     let stopped = session.is_over();
-    let to = before.place(session, stopped);
+    let to = before.place(session, &manifest, stopped);
     let path = match shard.is_some() || stopped {
-        true => part.write(&known, to, stopped)?,
-        false => part.whole(known.values(), to)?,
+        true => part.write(&known, &to, stopped)?,
+        false => part.whole(known.values(), &to)?,
     };
     if !stopped {
         before.clear(&manifest);

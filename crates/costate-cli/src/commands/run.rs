@@ -18,7 +18,9 @@ use costate::run::{
 use costate::session::summary::{
     AttenuationSummary, DissipationSummary, EvaluationSummary, FittedSummary,
 };
-use costate::session::{Finished, Kept, Listed, Progress, Session, SessionError, States, Wanted};
+use costate::session::{
+    Finished, Kept, Listed, Progress, Session, SessionError, Shard, States, Wanted,
+};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -65,7 +67,7 @@ pub fn run(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
             "{option} changes nothing here: swept trajectories are only stored by run and shoot-out, of scenes with [shoot_out]"
         ));
     }
-    let path = out_path(args, solve, &terminal);
+    let path = out_path(args, (solve, wanted.shard), &terminal);
     if let Some(solve) = solve
         && points::has_published(&solve.points, model)
     {
@@ -176,11 +178,17 @@ fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
 }
 
 /// Where results go; said where that is beside others.
-fn out_path(args: &RunArgs, solve: Option<&SolveArgs>, terminal: &Terminal) -> PathBuf {
+fn out_path(
+    args: &RunArgs,
+    (solve, shard): (Option<&SolveArgs>, Option<Shard>),
+    terminal: &Terminal,
+) -> PathBuf {
+    let scenario = &args.scene.scenario;
     let (path, other) = match &args.out {
         Some(path) => (path.clone(), None),
-        None if solve.is_some() => output_of_points(&args.scene.scenario),
-        None => (output_of(&args.scene.scenario, ""), None),
+        None if shard.is_some() => (output_of(scenario, &shard::ending(shard)), None),
+        None if solve.is_some() => output_of_points(scenario),
+        None => (output_of(scenario, ""), None),
     };
     if let Some(other) = other {
         terminal.note(&format!(

@@ -21,7 +21,8 @@ pub fn study(args: &DividedArgs) -> Result<(), CliError> {
     })?;
     let (model, terminal) = (&begun.scene.model, &begun.terminal);
     let shard = shard::of(*part, terminal)?;
-    let path = begun.path(run.out.as_deref(), "_study")?;
+    let ending = format!("_study{}", shard::ending(shard));
+    let path = begun.path(run.out.as_deref(), &ending)?;
     let ending = Ending::of(run, &begun.provenance);
     let backend = run.numerics.open(model)?;
     let session = begun.session(backend).until(ending.deadline);

@@ -3,6 +3,7 @@
 use crate::args::{ShardArgs, ShardChoice};
 use crate::error::ShardRefusal;
 use crate::terminal::Terminal;
+use costate::run::of_shard;
 use costate::session::{Progress, Resume, Shard};
 use std::env::VarError;
 
@@ -31,6 +32,11 @@ pub fn of(args: ShardArgs, terminal: &Terminal) -> Result<Option<Shard>, ShardRe
             Ok(shard)
         }
     }
+}
+
+/// What the name of its result ends in, where the user gives none.
+pub fn ending(shard: Option<Shard>) -> String {
+    shard.map_or_else(String::new, |shard| of_shard(shard.number(), shard.of()))
 }
 
 /// Whether what is done is kept, and what was done before is used.
