@@ -118,7 +118,7 @@ impl<'a> Parts<'a> {
     }
 
     /// What the session is asked for.
-    fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
+    pub fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
         let mut wanted = match self {
             Parts::All => Wanted::all(),
             Parts::ShootOut => Wanted::sweep(),
@@ -147,7 +147,7 @@ impl<'a> Parts<'a> {
 }
 
 /// Refuses an `--out` that is an input, or of the wrong kind.
-fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
+pub fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let inputs = [Some(&args.scene.scenario), parts.solve().map(|s| &s.points)];
     let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
     let kinds: &[Kind] = match parts {
@@ -158,7 +158,7 @@ fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
 }
 
 /// Where results go; said where that is beside others.
-fn out_path(args: &RunArgs, solve: Option<&SolveArgs>, terminal: &Terminal) -> PathBuf {
+pub fn out_path(args: &RunArgs, solve: Option<&SolveArgs>, terminal: &Terminal) -> PathBuf {
     let (path, other) = match &args.out {
         Some(path) => (path.clone(), None),
         None if solve.is_some() => output_of_points(&args.scene.scenario),
