@@ -141,7 +141,7 @@ pub fn heed_input() -> io::Result<()> {
     std::thread::Builder::new()
         .name("input".to_owned())
         .spawn(|| {
-            let bytes = io::stdin().bytes().take_while(Result::is_ok);
+            let bytes = io::stdin().lock().bytes().take_while(Result::is_ok);
             bytes.for_each(|_| heard(SIGTERM));
             heard(SIGHUP);
         })?;

@@ -85,12 +85,6 @@ fn begins_as_part(name: &str) -> Option<&str> {
     (after.len() < rest.len()).then_some(after)
 }
 
-/// Whether a file can be read by several processes.
-pub fn is_read_by_all(path: &Path) -> bool {
-    // What is not there is told by who reads it.
-    fs::metadata(path).map_or(true, |file| file.is_file())
-}
-
 /// Whether parts of a result were kept.
 pub fn is_there(result: &Path) -> bool {
     target(result).is_ok_and(|result| Folder::of(&result).is_dir())

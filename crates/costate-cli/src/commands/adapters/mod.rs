@@ -97,36 +97,19 @@ fn checked(
     run: &RunArgs,
     terminal: &Terminal,
 ) -> Result<(PathBuf, Model), CliError> {
-    let parts = match command {
-        Command::Solve(args) => Some(Parts::Solve(args)),
-        Command::Homotopy(args) => Some(Parts::Homotopy(args.part)),
-        Command::Map(args) => Some(Parts::Map(args.part)),
-        _ => None,
+    let (parts, solve) = match command {
+        Command::Solve(args) => (Parts::Solve(args), Some(args)),
+        Command::Homotopy(args) => (Parts::Homotopy(args.part), None),
+        Command::Map(args) => (Parts::Map(args.part), None),
+        _ => return checked_study(run),
     };
-    let solve = match command {
-        Command::Solve(args) => Some(args),
-        _ => None,
-    };
-    let read = [Some(&run.scene.scenario), solve.map(|args| &args.points)];
-    if let Some(path) = (read.into_iter().flatten()).find(|path| !folder::is_read_by_all(path)) {
-        let path = path.clone();
-        return Err(AdaptersError::NoFile { path }.into());
-    }
-    if solve.is_some_and(text::listed::is_table) {
-        return Err(AdaptersError::Table.into());
-    }
-    let Some(parts) = parts else {
-        if run.grid_guesses {
-            return Err(GridRefusal::Nothing.into());
+    read_by_all(&run.scene.scenario)?;
+    if let Some(solve) = solve {
+        read_by_all(&solve.points)?;
+        if text::listed::is_table(solve) {
+            return Err(AdaptersError::Table.into());
         }
-        check_out(run.out.as_deref(), &[Kind::Result], &[&run.scene.scenario])?;
-        let model = load(&run.scene)?.model;
-        if model.study.is_none() {
-            return Err(SessionError::NoStudy.into());
-        }
-        let own = || output_of(&run.scene.scenario, "_study");
-        return Ok((run.out.clone().unwrap_or_else(own), model));
-    };
+    }
     check_names(run, parts)?;
     let model = load(&run.scene)?.model;
     let wanted = parts.wanted(run, &model)?;
@@ -134,6 +117,31 @@ fn checked(
         return Err(AdaptersError::Map.into());
     }
     Ok((out_path(run, solve, terminal), model))
+}
+
+/// The same of a study.
+fn checked_study(run: &RunArgs) -> Result<(PathBuf, Model), CliError> {
+    if run.grid_guesses {
+        return Err(GridRefusal::Nothing.into());
+    }
+    read_by_all(&run.scene.scenario)?;
+    check_out(run.out.as_deref(), &[Kind::Result], &[&run.scene.scenario])?;
+    let model = load(&run.scene)?.model;
+    if model.study.is_none() {
+        return Err(SessionError::NoStudy.into());
+    }
+    let own = || output_of(&run.scene.scenario, "_study");
+    Ok((run.out.clone().unwrap_or_else(own), model))
+}
+
+/// Refuses what only one process can read; what is not there is told by who reads it.
+fn read_by_all(path: &Path) -> Result<(), AdaptersError> {
+    match std::fs::metadata(path).is_ok_and(|file| !file.is_file()) {
+        true => Err(AdaptersError::NoFile {
+            path: path.to_owned(),
+        }),
+        false => Ok(()),
+    }
 }
 
 /// The work of all adapters.
