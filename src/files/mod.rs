@@ -10,7 +10,7 @@ pub use behind::Behind;
 pub use error::FileError;
 pub use temporary::Temporary;
 #[cfg(unix)]
-pub use temporary::{removed_at_signals, stop_at_signals};
+pub use temporary::{heed_input, removed_at_signals, stop_at_signals};
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};

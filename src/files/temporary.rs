@@ -1,7 +1,7 @@
 //! Files under hidden names: gone unless they are given another one, whether by an error or by a
 //! signal to end.
 
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -13,6 +13,8 @@ static OPEN: Mutex<Vec<Claimed>> = Mutex::new(Vec::new());
 static STOP: AtomicBool = AtomicBool::new(false);
 /// Told of such a signal, by its name; none where the first one ends the process.
 static ASKED: Mutex<Option<Asked>> = Mutex::new(None);
+/// Whether it is the end of the input that ends this process at once, and no second signal.
+static HEEDS_INPUT: AtomicBool = AtomicBool::new(false);
 type Asked = Box<dyn Fn(&str) + Send>;
 
 /// From now on the first signal that asks the process to end (interrupt, terminate, those of batch
@@ -119,25 +121,54 @@ pub fn removed_at_signals() -> io::Result<()> {
         .name("signals".to_owned())
         .spawn(move || {
             for signal in &mut signals {
-                if asks(signal) {
-                    let asked = ASKED.lock().unwrap_or_else(PoisonError::into_inner);
-                    if let Some(asked) = &*asked
-                        && !STOP.swap(true, Ordering::Relaxed)
-                    {
-                        asked(signal_hook::low_level::signal_name(signal).unwrap_or("a signal"));
-                        continue;
-                    }
-                }
-                // Held to the end: no other file comes after these.
-                let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
-                // Other files may lie in a directory that was made for the first one.
-                open.iter().for_each(Claimed::remove_file);
-                open.iter().for_each(Claimed::remove_directories);
-                // Whoever waits for the process is to see that the signal ended it.
-                let _ = signal_hook::low_level::emulate_default_handler(signal);
+                heard(signal);
             }
         })?;
     Ok(())
+}
+
+/// From now on this process does what whoever started it writes to its standard input: a byte asks
+/// it to end, as a signal does, and where the input ends, as that one is gone, it ends at once. A
+/// second signal does nothing more then: the same one may come from several sides. Needs
+/// [`removed_at_signals`].
+///
+/// # Errors
+/// Where the system has no room for a thread.
+#[cfg(unix)]
+pub fn heed_input() -> io::Result<()> {
+    use signal_hook::consts::{SIGHUP, SIGTERM};
+    HEEDS_INPUT.store(true, Ordering::Relaxed);
+    std::thread::Builder::new()
+        .name("input".to_owned())
+        .spawn(|| {
+            let bytes = io::stdin().lock().bytes().take_while(Result::is_ok);
+            bytes.for_each(|_| heard(SIGTERM));
+            heard(SIGHUP);
+        })?;
+    Ok(())
+}
+
+/// Ends the process by a signal, or asks it to.
+#[cfg(unix)]
+fn heard(signal: i32) {
+    if asks(signal) {
+        let asked = ASKED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(asked) = &*asked {
+            if !STOP.swap(true, Ordering::Relaxed) {
+                return asked(signal_hook::low_level::signal_name(signal).unwrap_or("a signal"));
+            }
+            if HEEDS_INPUT.load(Ordering::Relaxed) {
+                return;
+            }
+        }
+    }
+    // Held to the end: no other file comes after these.
+    let open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    // Other files may lie in a directory that was made for the first one.
+    open.iter().for_each(Claimed::remove_file);
+    open.iter().for_each(Claimed::remove_directories);
+    // Whoever waits for the process is to see that the signal ended it.
+    let _ = signal_hook::low_level::emulate_default_handler(signal);
 }
 
 /// Whether a signal asks to end, and something else kills where that is not heard.

@@ -12,6 +12,7 @@ mod common_problems;
 mod common_values;
 
 mod absurd;
+mod adapters;
 mod attenuation;
 mod bench;
 mod check_least;

@@ -187,7 +187,7 @@ pub struct NumericsArgs {
     #[arg(long, value_enum, default_value_t = BackendChoice::Auto)]
     pub backend: BackendChoice,
     /// Use the adapter whose name contains this, or of this number (from 0) in the list of `costate
-    /// adapters`.
+    /// adapters`; `all`: of solve, homotopy, map and study, each adapter does a shard of the work.
     #[arg(long, value_name = "NAME")]
     pub adapter: Option<String>,
     /// Arithmetic of the integration [default: the scene's]
@@ -253,6 +253,9 @@ pub struct ShardArgs {
     /// run that is killed loses no more.
     #[arg(long, value_name = "SECONDS", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub checkpoint: u32,
+    /// End as standard input tells: how `--adapter all` ends the processes that it starts.
+    #[arg(long, hide = true)]
+    pub heed_input: bool,
 }
 
 /// A part of the work, or all of it.

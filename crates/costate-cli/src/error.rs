@@ -12,7 +12,7 @@ use costate::low_level::map::DeviceError;
 use costate::low_level::result::{StoredError, StoredMapError};
 use costate::low_level::scenario::{LoadError, ScenarioErrors};
 use costate::run::RunError;
-use costate::session::SessionError;
+use costate::session::{SessionError, Shard};
 use costate_bench::BenchError;
 use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
@@ -51,6 +51,8 @@ pub enum CliError {
     Refused(#[from] GridRefusal),
     #[error(transparent)]
     Shard(#[from] ShardRefusal),
+    #[error(transparent)]
+    Adapters(#[from] AdaptersError),
     #[error(transparent)]
     Bench(#[from] BenchError),
     #[error("--out {path}: the picture takes this name with .svg; name the table .h5", path = path.display())]
@@ -151,6 +153,8 @@ impl CliError {
             Self::Device(_) => true,
             Self::Backend(error) => error.is_of_input(),
             Self::Refused(error) => !matches!(error, GridRefusal::OutOfTime(_)),
+            Self::Adapters(AdaptersError::Part { status, .. }) => return *status,
+            Self::Adapters(error) => !matches!(error, AdaptersError::Process { .. }),
             #[cfg(feature = "report")]
             Self::Report(error) => {
                 use costate_report::ReportError;
@@ -220,6 +224,48 @@ pub enum ShardRefusal {
     Table,
     #[error("not all states are there; {path} says which", path = path.display())]
     Partial { path: PathBuf },
+}
+
+/// Why the work is not done by all adapters.
+#[derive(Debug, thiserror::Error)]
+pub enum AdaptersError {
+    #[error(
+        "--adapter all is for solve, homotopy, map and study, whose work is divided: name one adapter, or give its number in the list of `costate adapters`"
+    )]
+    NotDivided,
+    #[error(
+        "--adapter all: a map to an error is not divided, but a grid is: name one adapter, or leave [map] error out"
+    )]
+    Map,
+    #[error(
+        "--adapter all divides the work by itself, and this is its shard {shard}: give each task one adapter by its number (--adapter K)"
+    )]
+    Shard { shard: Shard },
+    #[error("--adapter all puts results together: name a result file (--out FILE.h5), not a table")]
+    Table,
+    #[error("--adapter all: each adapter's process reads {path}, which must be a file for that", path = path.display())]
+    NoFile { path: PathBuf },
+    #[error("{doing} of adapter {adapter}: {source}")]
+    Process {
+        doing: &'static str,
+        adapter: String,
+        source: std::io::Error,
+    },
+    #[error("adapter {adapter}: {message}{}", going_on(kept.as_ref()))]
+    Part {
+        adapter: String,
+        message: String,
+        status: u8,
+        /// The folder of parts, where there are any.
+        kept: Option<PathBuf>,
+    },
+}
+
+fn going_on(kept: Option<&PathBuf>) -> String {
+    kept.map_or_else(String::new, |folder| {
+        let folder = folder.display();
+        format!("\n{folder} has what was done by then; --resume goes on with it")
+    })
 }
 
 /// What is wrong with the places asked for.

@@ -18,8 +18,8 @@ use commands::import;
 #[cfg(feature = "report")]
 use commands::report;
 use commands::{
-    attenuation, bench, check, check_least, evaluate, export, fit, mechanism, merge, run, simulate,
-    study, value,
+    adapters, attenuation, bench, check, check_least, evaluate, export, fit, mechanism, merge, run,
+    simulate, study, value,
 };
 use costate::low_level::diagnostics::{printable, unprintable};
 
@@ -61,7 +61,25 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             return if e.use_stderr() { 2 } else { 0 };
         }
     };
-    let done = match cli.command {
+    let done = match adapters::divided(cli.command, &arguments) {
+        Ok(Some(command)) => perform(command),
+        Ok(None) => Ok(()),
+        Err(error) => Err(error),
+    };
+    match done {
+        Ok(()) => 0,
+        // The reader of a pipe has gone: it has what it wanted.
+        Err(CliError::Stdout(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => 0,
+        Err(e) => {
+            e.print();
+            e.status()
+        }
+    }
+}
+
+/// Does what one process does.
+fn perform(command: Command) -> Result<(), CliError> {
+    match command {
         Command::Run(args) => run::run(&args, run::Parts::All),
         Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
         Command::Homotopy(args) => run::run(&args.run, run::Parts::Homotopy(&args)),
@@ -85,14 +103,5 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Mechanism(args) => mechanism::mechanism(&args),
         Command::Reference { what } => check::reference(what),
         Command::Adapters { json } => check::list_adapters(json),
-    };
-    match done {
-        Ok(()) => 0,
-        // The reader of a pipe has gone: it has what it wanted.
-        Err(CliError::Stdout(e)) if e.kind() == std::io::ErrorKind::BrokenPipe => 0,
-        Err(e) => {
-            e.print();
-            e.status()
-        }
     }
 }

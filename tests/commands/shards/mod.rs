@@ -13,7 +13,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// Linear and fast; a third of the states are in each block of a list of three thousand.
-const LINEAR: &str = r#"
+pub const LINEAR: &str = r#"
 states = { x = {}, v = {} }
 controls = { u = {} }
 parameters = { q = 1 }
@@ -23,7 +23,7 @@ equilibrium = { x = 0, v = 0, u = 0 }
 region = { x = [-1, 1], v = [-1, 1] }
 "#;
 
-fn command(folder: &Path, arguments: &[&str]) -> Command {
+pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_costate"));
     command.current_dir(folder).args(arguments);
     for name in ["ID", "COUNT", "MIN", "STEP"] {
@@ -32,14 +32,14 @@ fn command(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-fn run(folder: &Path, arguments: &[&str]) -> (Output, String) {
+pub fn run(folder: &Path, arguments: &[&str]) -> (Output, String) {
     let output = command(folder, arguments).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     (output, errors)
 }
 
 #[track_caller]
-fn done(folder: &Path, arguments: &[&str]) -> String {
+pub fn done(folder: &Path, arguments: &[&str]) -> String {
     let (output, errors) = run(folder, arguments);
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {errors}");
     String::from_utf8_lossy(&output.stdout).into_owned()
@@ -47,14 +47,14 @@ fn done(folder: &Path, arguments: &[&str]) -> String {
 
 /// Refused, with nothing written under a name.
 #[track_caller]
-fn refused(folder: &Path, arguments: &[&str], out: &str) -> String {
+pub fn refused(folder: &Path, arguments: &[&str], out: &str) -> String {
     let (output, errors) = run(folder, arguments);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
     assert!(!folder.join(out).exists());
     errors
 }
 
-fn entries(folder: &Path) -> Vec<String> {
+pub fn entries(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = (std::fs::read_dir(folder).unwrap())
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
@@ -63,7 +63,7 @@ fn entries(folder: &Path) -> Vec<String> {
 }
 
 /// So many scattered states in ranges, as a file of points.
-fn points(path: &Path, names: [&str; 2], ranges: [[f64; 2]; 2], count: u32) {
+pub fn points(path: &Path, names: [&str; 2], ranges: [[f64; 2]; 2], count: u32) {
     let mut text = format!("{},{}\n", names[0], names[1]);
     for k in 0..count {
         // A lattice of rank 1, in which no two states are alike.
@@ -76,7 +76,7 @@ fn points(path: &Path, names: [&str; 2], ranges: [[f64; 2]; 2], count: u32) {
 
 /// Fails where two result files differ in any number or text, but for what only parts have.
 #[track_caller]
-fn same_results(a: &Path, b: &Path) {
+pub fn same_results(a: &Path, b: &Path) {
     let (a, b) = (Stored::open(a).unwrap(), Stored::open(b).unwrap());
     let groups = |stored: &Stored| {
         let mut names = stored.groups();
@@ -226,7 +226,7 @@ fn shards_of_grids_are_the_whole() {
     assert!(!Stored::open(folder.join("map.h5")).unwrap().has("points"));
 }
 
-fn linear(name: &str) -> PathBuf {
+pub fn linear(name: &str) -> PathBuf {
     let folder = scratch(name);
     std::fs::write(folder.join("scene.toml"), LINEAR).unwrap();
     points(

@@ -2,8 +2,9 @@
 
 use crate::args::{BenchArgs, BenchBackend, PrecisionChoice};
 use crate::common::load::load;
+use crate::common::open::ALL;
 use crate::common::{Kind, check_out, pictures, print_json, provenance};
-use crate::error::CliError;
+use crate::error::{AdaptersError, CliError};
 use crate::terminal::Terminal;
 use crate::text::bench::{self as bench_report, Done};
 use costate::backend::{Backend, BackendError};
@@ -26,6 +27,9 @@ const ENDLESS: f64 = 1e-12;
 
 pub fn bench(args: &BenchArgs) -> Result<(), CliError> {
     let provenance = provenance();
+    if args.adapter.as_deref() == Some(ALL) {
+        return Err(AdaptersError::NotDivided.into());
+    }
     let scene = load(&args.scene)?;
     let model = &scene.model;
     // Seeds and levels are those of the scene's own sweep, in f64 for the sake of the references.

@@ -1,5 +1,6 @@
 //! One file a command: arguments to a call of the library, and its result to text.
 
+pub mod adapters;
 pub mod alone;
 pub mod attenuation;
 pub mod bench;

@@ -137,7 +137,7 @@ impl<'a> Parts<'a> {
     }
 
     /// What the session is asked for.
-    fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
+    pub fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
         let mut wanted = match self {
             Parts::All => Wanted::all(),
             Parts::ShootOut => Wanted::sweep(),
@@ -166,7 +166,7 @@ impl<'a> Parts<'a> {
 }
 
 /// Refuses an `--out` that is an input, or of the wrong kind.
-fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
+pub fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
     let inputs = [Some(&args.scene.scenario), parts.solve().map(|s| &s.points)];
     let inputs = inputs.into_iter().flatten().map(PathBuf::as_path);
     let inputs: Vec<&Path> = inputs.chain(parts.archive()).collect();
@@ -178,7 +178,7 @@ fn check_names(args: &RunArgs, parts: Parts<'_>) -> Result<(), CliError> {
 }
 
 /// Where results go; said where that is beside others.
-fn out_path(
+pub fn out_path(
     args: &RunArgs,
     (solve, shard): (Option<&SolveArgs>, Option<Shard>),
     terminal: &Terminal,

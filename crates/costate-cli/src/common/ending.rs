@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// What the first signal is answered with.
-const KEPT: &str = "what is done is kept; once more ends at once, with nothing";
+pub const KEPT: &str = "what is done is kept; once more ends at once, with nothing";
 const NOTHING: &str = "this ends, with nothing; once more ends at once";
 
 /// Ends a command early, with what is done, or with nothing.

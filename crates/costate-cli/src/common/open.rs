@@ -1,11 +1,14 @@
 //! The backend that a command computes on.
 
 use crate::args::{BackendChoice, NumericsArgs};
-use crate::error::CliError;
+use crate::error::{AdaptersError, CliError};
 use costate::backend::Backend;
 use costate::backend::adapters::{self, Selection};
 use costate::backend::cpu::Cpu;
 use costate::low_level::model::{Method, Model};
+
+/// What `--adapter` is given for all of them.
+pub const ALL: &str = "all";
 
 /// The backend asked for, fit for the method asked for where the choice is ours.
 pub fn backend(
@@ -20,6 +23,7 @@ pub fn backend(
             });
         }
         (None, BackendChoice::Cpu) => return Ok(Box::new(Cpu::new())),
+        (Some(ALL), _) => return Err(AdaptersError::NotDivided.into()),
         (Some(name), _) => Selection::Named(name.to_owned()),
         (None, BackendChoice::Gpu) => Selection::Any,
         (None, BackendChoice::Auto) => Selection::Hardware,
