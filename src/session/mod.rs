@@ -44,7 +44,7 @@ use crate::scene::Scene;
 use crate::study::{self, Variant};
 use crate::sweep::{Choices, Plan, PlanError, SweepReport};
 use crate::trajectories::{SweptTrajectories, TrajectoryBlock};
-use crate::value::{self, Answers, Archive, Entry, PointStatus};
+use crate::value::{self, Answers, Entry, PointStatus};
 use progress::Step;
 
 /// A scene and a backend. Everything asked of it is computed when it is asked.
@@ -214,13 +214,7 @@ impl<'s> Session<'s> {
     /// What is wrong with the scene; [`SessionError::NoMap`]; device failures.
     pub fn worker(&self) -> Result<Worker, SessionError> {
         let plan = self.prepare(&Wanted::map())?.into_plan();
-        let mut archive = Archive::new(&plan);
-        if !value::goes_without_sweep(&plan) {
-            let backend = self.backend.as_ref();
-            in_pool(|| archive.sweep(&plan, backend))?;
-        }
-        let model = self.scene.model.clone();
-        Ok(Worker::new(plan, model, archive, self.backend.as_ref())?)
+        Ok(Worker::new(plan, self.backend.as_ref())?)
     }
 
     /// The scene.

@@ -429,10 +429,6 @@ pub struct Common<'a> {
 }
 
 impl<'a> Common<'a> {
-    pub fn plan(&self) -> &'a Plan {
-        self.plan
-    }
-
     pub fn new(plan: &'a Plan, model: &'a Model) -> Self {
         Self {
             plan,

@@ -3,9 +3,8 @@
 use super::Work;
 use crate::backend::BackendError;
 use crate::map::pieces::MOST_VARIABLES;
-use crate::map::workers::{Block, searched_by};
 use crate::shooting::Path;
-use crate::value::{self, Answers, Common, Request, Track};
+use crate::value::{self, Answers, Request, Track};
 use std::collections::BTreeMap;
 
 impl Work<'_, '_> {
@@ -53,7 +52,8 @@ impl Work<'_, '_> {
     ) -> Result<Vec<(Vec<usize>, Answers)>, BackendError> {
         let v = self.cloud.variables;
         if self.axis.is_none() {
-            return self.solve_blocks(&states);
+            let numbers = (0..states.len() / v).collect();
+            return Ok(vec![(numbers, self.solve_from(0.0, states, in_company)?)]);
         }
         // Times are not negative: their bits are in their order.
         let mut by_time: BTreeMap<u64, (Vec<usize>, Vec<f64>)> = BTreeMap::new();
@@ -70,33 +70,6 @@ impl Work<'_, '_> {
                 ))
             })
             .collect()
-    }
-
-    /// Solves for states in blocks, where V depends on no time.
-    fn solve_blocks(&mut self, states: &[f64]) -> Result<Vec<(Vec<usize>, Answers)>, BackendError> {
-        let (plan, value_max) = (self.plan, self.aim.value_max);
-        let mut blocks = Block::cut(plan, !self.solver.is_alone(), states);
-        blocks.retain(|block| !block.numbers.is_empty());
-        if let Some(workers) = self.workers
-            && let Some(found) = searched_by(workers, plan, &blocks, value_max)?
-        {
-            self.solver.deadline.check()?;
-            let numbers = blocks.into_iter().map(|block| block.numbers);
-            return Ok(numbers.zip(found).collect());
-        }
-        let common = Common::new(plan, self.model);
-        let (mut before, count) = (0, states.len() / plan.system.states);
-        let mut all = Vec::new();
-        for block in blocks {
-            let progress = &mut *self.progress;
-            let mut shown =
-                |what: &str, done: usize, _: usize| progress(what, before + done, count);
-            let with = (&mut *self.solver, self.archive);
-            let answers = block.search(&common, with, value_max, &mut shown)?;
-            before += block.numbers.len();
-            all.push((block.numbers, answers));
-        }
-        Ok(all)
     }
 
     fn solve_from(
