@@ -96,7 +96,7 @@ def test_a_map_to_an_error_is_as_here(client, tmp_path):
         here = problem.map(error=error, counts=21, out=a)
         work = distributed.map(problem, client, error=error, counts=21, out=b, wait=False)
         there = work.result()
-        assert "done" in repr(work) and work._crew.rounds > 1
+        assert "done" in repr(work) and work._crew.rounds >= 1
         same(here, there)
         one, other = pycostate.Value(a), pycostate.Value(b)
         x = np.random.default_rng(0).uniform(-1, 1, (50, 2))
