@@ -1,5 +1,6 @@
 //! Reading a result file: its scene, and its groups as arrays.
 
+use super::elsewhere::{absent, given_order, taken};
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
 use crate::files;
@@ -41,6 +42,16 @@ pub enum StoredError {
         object: String,
         reason: String,
     },
+    #[error(
+        "{path} reads its numbers from {part}, which is another file than the one that was merged: merge the parts again",
+        path = path.display()
+    )]
+    OtherPart { path: PathBuf, part: String },
+    #[error(
+        "{path} reads its numbers from {part}, which is gone, and HDF5 would take the file of that name in the present folder for it: run this in another folder, or merge the parts again",
+        path = path.display()
+    )]
+    InPlaceOf { path: PathBuf, part: String },
     #[error("{path} has no group /{group}{hint}", path = path.display())]
     NoGroup {
         path: PathBuf,
@@ -83,6 +94,8 @@ pub struct Stored {
     name: PathBuf,
     pub scene: Scene,
     file: H5File,
+    /// Files of parts that its rows lie in and that are not there.
+    absent: Vec<String>,
 }
 
 impl std::fmt::Debug for Stored {
@@ -156,11 +169,16 @@ impl Stored {
             errors: Box::new(errors),
         };
         let scene = Scene::parse_with(&text, &name, &overrides).map_err(wrong)?;
-        Ok(Self {
+        let this = Self {
             path: path.to_owned(),
             name: path.to_owned(),
             scene,
             file,
+            absent: Vec::new(),
+        };
+        Ok(Self {
+            absent: absent(&this)?,
+            ..this
         })
     }
 
@@ -178,6 +196,11 @@ impl Stored {
     /// How messages call the file.
     pub(crate) fn name(&self) -> PathBuf {
         self.name.clone()
+    }
+
+    /// The files of parts that its rows lie in and that are not there: nothing is known of them.
+    pub fn absent_parts(&self) -> &[String] {
+        &self.absent
     }
 
     /// A root attribute that is a text.
@@ -260,7 +283,7 @@ impl Stored {
             Some(_) => Ok(Vec::new()),
             None => group.shaped(name, shape),
         };
-        Ok(Some(SweptTrajectories {
+        let found = SweptTrajectories {
             count,
             samples,
             t: full("t", &[count, samples])?,
@@ -271,11 +294,15 @@ impl Stored {
             status: group.i32("status")?.1,
             sheet: group.i32("sheet")?.1,
             v: v.values,
+        };
+        Ok(Some(match given_order(&group, count)? {
+            Some(order) => found.in_order(&order),
+            None => found,
         }))
     }
 
-    /// `/points`, of V(x, t) those at t = 0; `None` where it is absent. States without a solution
-    /// have NaN.
+    /// `/points` in the order in which the states were given, of V(x, t) those at t = 0; `None` where
+    /// it is absent. States without a solution have NaN.
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later
@@ -289,6 +316,16 @@ impl Stored {
         let mut points = self.solutions(&group, count)?;
         points.x = x.values;
         points.point = (0..count as i32).collect();
+        let widths = (
+            self.scene.model.states.len(),
+            self.scene.model.controls.len(),
+        );
+        if let Some(order) = given_order(&group, count)? {
+            points = points.taken(widths, &order);
+        }
+        if !self.absent.is_empty() {
+            points.forget_sheets();
+        }
         let Some(times) = self.times(&group)? else {
             return Ok(Some(points));
         };
@@ -300,21 +337,7 @@ impl Stored {
         if kept.is_empty() && count > 0 {
             return Err(group.error(name, &self.later("no row")));
         }
-        let (n, m) = (
-            self.scene.model.states.len(),
-            self.scene.model.controls.len(),
-        );
-        Ok(Some(SolvedStates {
-            count: kept.len(),
-            x: taken(&points.x, n, &kept),
-            v: taken(&points.v, 1, &kept),
-            p: taken(&points.p, n, &kept),
-            u: taken(&points.u, m, &kept),
-            sheet: taken(&points.sheet, 1, &kept),
-            point: taken(&points.point, 1, &kept),
-            status: taken(&points.status, 1, &kept),
-            errors: taken(&points.errors, 1, &kept),
-        }))
+        Ok(Some(points.taken(widths, &kept)))
     }
 
     /// Errors of a group's values, if these were interpolated.
@@ -365,15 +388,29 @@ impl Stored {
         let (_, point) = group.i32("point")?;
         let n = self.scene.model.states.len();
         let mut entries = self.solutions(&group, point.len())?;
+        // The place of each row of /points among the states that were read.
+        let mut places: Vec<(i32, usize)> = points.point.iter().copied().zip(0..).collect();
+        places.sort_unstable();
+        let mut at = Vec::with_capacity(point.len());
         for &k in &point {
-            let row = points.point.binary_search(&k).ok();
-            let at = row.and_then(|k| points.x.get(k * n..(k + 1) * n));
-            let at =
-                at.ok_or_else(|| group.error("point", "names a point that /points does not have"))?;
-            entries.x.extend_from_slice(at);
+            let row = places.binary_search_by_key(&k, |(row, _)| *row).ok();
+            let place = row.map(|row| places[row].1);
+            let x = place.and_then(|k| points.x.get(k * n..(k + 1) * n));
+            let (Some(place), Some(x)) = (place, x) else {
+                return Err(group.error("point", "names a point that /points does not have"));
+            };
+            entries.x.extend_from_slice(x);
+            at.push(place);
         }
         entries.point = point;
-        Ok(Some(entries))
+        // As the states come; without those of parts that are not there.
+        let mut order: Vec<usize> = (0..entries.count)
+            .filter(|k| self.absent.is_empty() || !entries.v[*k].is_nan())
+            .collect();
+        order.sort_by_key(|k| at[*k]);
+        Ok(Some(
+            entries.taken((n, self.scene.model.controls.len()), &order),
+        ))
     }
 
     fn solutions(
@@ -704,14 +741,4 @@ impl StoredColumn {
             reason: e.to_string(),
         })
     }
-}
-
-/// Some rows of an array.
-fn taken<T: Copy>(all: &[T], width: usize, rows: &[usize]) -> Vec<T> {
-    if all.is_empty() {
-        return Vec::new();
-    }
-    (rows.iter())
-        .flat_map(|row| all[row * width..][..width].iter().copied())
-        .collect()
 }

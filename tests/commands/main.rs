@@ -29,6 +29,7 @@ mod refusals;
 mod report;
 mod reserved;
 mod shards;
+mod shards_virtual;
 mod simulate;
 mod solve;
 

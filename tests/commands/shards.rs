@@ -8,7 +8,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 /// Linear and fast; a third of the states are in each block of a list of three thousand.
-const LINEAR: &str = r#"
+pub const LINEAR: &str = r#"
 states = { x = {}, v = {} }
 controls = { u = {} }
 parameters = { q = 1 }
@@ -18,7 +18,7 @@ equilibrium = { x = 0, v = 0, u = 0 }
 region = { x = [-1, 1], v = [-1, 1] }
 "#;
 
-fn command(folder: &Path, arguments: &[&str]) -> Command {
+pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_costate"));
     command.current_dir(folder).args(arguments);
     for name in ["ID", "COUNT", "MIN", "STEP"] {
@@ -27,14 +27,14 @@ fn command(folder: &Path, arguments: &[&str]) -> Command {
     command
 }
 
-fn run(folder: &Path, arguments: &[&str]) -> (Output, String) {
+pub fn run(folder: &Path, arguments: &[&str]) -> (Output, String) {
     let output = command(folder, arguments).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     (output, errors)
 }
 
 #[track_caller]
-fn done(folder: &Path, arguments: &[&str]) -> String {
+pub fn done(folder: &Path, arguments: &[&str]) -> String {
     let (output, errors) = run(folder, arguments);
     assert_eq!(output.status.code(), Some(0), "{arguments:?}: {errors}");
     String::from_utf8_lossy(&output.stdout).into_owned()
@@ -42,7 +42,7 @@ fn done(folder: &Path, arguments: &[&str]) -> String {
 
 /// Refused, with nothing written under a name.
 #[track_caller]
-fn refused(folder: &Path, arguments: &[&str], out: &str) -> String {
+pub fn refused(folder: &Path, arguments: &[&str], out: &str) -> String {
     let (output, errors) = run(folder, arguments);
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
     assert!(!folder.join(out).exists());
@@ -58,7 +58,7 @@ fn entries(folder: &Path) -> Vec<String> {
 }
 
 /// So many scattered states in ranges, as a file of points.
-fn points(path: &Path, names: [&str; 2], ranges: [[f64; 2]; 2], count: u32) {
+pub fn points(path: &Path, names: [&str; 2], ranges: [[f64; 2]; 2], count: u32) {
     let mut text = format!("{},{}\n", names[0], names[1]);
     for k in 0..count {
         // A lattice of rank 1, in which no two states are alike.
@@ -110,7 +110,7 @@ fn same_results(a: &Path, b: &Path) {
 }
 
 /// Makes all shards of a command.
-fn shards(folder: &Path, arguments: &[&str], of: usize) -> Vec<String> {
+pub fn shards(folder: &Path, arguments: &[&str], of: usize) -> Vec<String> {
     (0..of)
         .map(|k| {
             let (name, shard) = (format!("p{k}.h5"), format!("{k}/{of}"));
@@ -121,7 +121,7 @@ fn shards(folder: &Path, arguments: &[&str], of: usize) -> Vec<String> {
         .collect()
 }
 
-fn merged(folder: &Path, parts: &[String], more: &[&str]) -> PathBuf {
+pub fn merged(folder: &Path, parts: &[String], more: &[&str]) -> PathBuf {
     let parts: Vec<&str> = parts.iter().map(String::as_str).collect();
     let own = ["--out", "all.h5"];
     done(folder, &[&["merge"], parts.as_slice(), &own, more].concat());
@@ -221,7 +221,7 @@ fn shards_of_grids_are_the_whole() {
     assert!(!Stored::open(folder.join("map.h5")).unwrap().has("points"));
 }
 
-fn linear(name: &str) -> PathBuf {
+pub fn linear(name: &str) -> PathBuf {
     let folder = scratch(name);
     std::fs::write(folder.join("scene.toml"), LINEAR).unwrap();
     points(
@@ -233,7 +233,7 @@ fn linear(name: &str) -> PathBuf {
     folder
 }
 
-const SOLVE: [&str; 6] = [
+pub const SOLVE: [&str; 6] = [
     "solve",
     "scene.toml",
     "--points",

@@ -1,5 +1,6 @@
 //! Files of parts of the whole: what each says of itself, and how they become one.
 
+mod elsewhere;
 mod manifest;
 mod merge;
 mod part;
@@ -16,13 +17,10 @@ pub use study::{StudyDone, study};
 
 use super::RunError;
 use crate::hdf5::ResultFile;
-use crate::result::{ShardGroups, TrajectorySchema};
+use crate::result::{MANIFEST, ShardGroups, TrajectorySchema};
 use crate::session::Part;
 use crate::value::Answers;
 use crate::value::blocks::Seam;
-
-/// The root attribute that the manifest is in.
-const MANIFEST: &str = "manifest";
 
 /// Writes the states that were solved for as a part of the whole: all of them to `/points`, those
 /// of a map too, with what is needed to put parts together.
