@@ -94,7 +94,7 @@ pub fn note_ended_early(stored: &Stored, terminal: &Terminal) {
             "parts that it reads from are"
         };
         terminal.note(&format!(
-            "{path}: {count} {of} gone ({first}): nothing is known of the states there, and V is not interpolated between the others"
+            "{path}: {count} {of} gone ({first}): nothing is known of the states there, and V is not interpolated between other solved states"
         ));
     }
     if let Some(how) = stored.ended_early() {
