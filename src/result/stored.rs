@@ -1,6 +1,7 @@
 //! Reading a result file: its scene, and its groups as arrays.
 
-use super::elsewhere::{absent, given_order, taken};
+use super::column::StoredColumn;
+use super::elsewhere::{VIRTUAL, absent, given_order, taken};
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
 use crate::files;
@@ -96,6 +97,8 @@ pub struct Stored {
     file: H5File,
     /// Files of parts that its rows lie in and that are not there.
     absent: Vec<String>,
+    /// Held, so that parts stay open once they are: each variable would open all of them anew.
+    _held: Option<H5Dataset>,
 }
 
 impl std::fmt::Debug for Stored {
@@ -175,9 +178,11 @@ impl Stored {
             scene,
             file,
             absent: Vec::new(),
+            _held: None,
         };
         Ok(Self {
             absent: absent(&this)?,
+            _held: held(&this),
             ..this
         })
     }
@@ -485,6 +490,14 @@ impl Stored {
     }
 }
 
+/// The first variable of a virtual file that is read of many.
+fn held(stored: &Stored) -> Option<H5Dataset> {
+    let group = stored.group(&schema::POINTS)?;
+    stored
+        .has_attribute(VIRTUAL)
+        .then(|| group.open("V").ok())?
+}
+
 impl StoredGroup<'_> {
     /// The datasets in it.
     pub fn names(&self) -> Vec<String> {
@@ -611,16 +624,8 @@ impl StoredGroup<'_> {
     /// [`StoredError::Object`] where there is no such dataset.
     pub fn column(&self, name: &str) -> Result<StoredColumn, StoredError> {
         let dataset = self.dataset(name)?;
-        let shape = dataset.shape();
-        let whole = matches!(dataset.datatype(), Ok(DatatypeMessage::FixedPoint { .. }));
-        Ok(StoredColumn {
-            path: self.stored.path.clone(),
-            object: format!("{}/{name}", self.name),
-            rows: shape.first().copied().unwrap_or(0),
-            inner: shape.get(1..).unwrap_or_default().to_vec(),
-            whole,
-            dataset,
-        })
+        let object = format!("{}/{name}", self.name);
+        Ok(StoredColumn::new(&self.stored.path, object, dataset))
     }
 
     /// An error that names a dataset of this group.
@@ -683,62 +688,5 @@ impl StoredGroup<'_> {
 
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {
         self.error(name, &error.to_string())
-    }
-}
-
-/// A variable of a file of which rows are read as they are wanted.
-pub struct StoredColumn {
-    path: PathBuf,
-    object: String,
-    /// Along its first dimension, and the lengths of the others.
-    pub rows: usize,
-    pub inner: Vec<usize>,
-    /// Whether it has integers.
-    pub whole: bool,
-    dataset: H5Dataset,
-}
-
-impl StoredColumn {
-    /// Numbers of one row.
-    pub fn width(&self) -> usize {
-        self.inner.iter().product()
-    }
-
-    /// Some rows of real numbers.
-    ///
-    /// # Errors
-    /// [`StoredError::Object`] where they cannot be read.
-    pub fn f64(&self, first: usize, count: usize) -> Result<Vec<f64>, StoredError> {
-        self.read(first, count)
-    }
-
-    /// Some rows of integers.
-    ///
-    /// # Errors
-    /// [`StoredError::Object`] where they cannot be read.
-    pub fn i32(&self, first: usize, count: usize) -> Result<Vec<i32>, StoredError> {
-        self.read(first, count)
-    }
-
-    fn read<T: rust_hdf5::H5Type>(
-        &self,
-        first: usize,
-        count: usize,
-    ) -> Result<Vec<T>, StoredError> {
-        let starts: Vec<usize> = std::iter::once(first)
-            .chain(self.inner.iter().map(|_| 0))
-            .collect();
-        let counts: Vec<usize> = std::iter::once(count)
-            .chain(self.inner.iter().copied())
-            .collect();
-        if counts.contains(&0) {
-            return Ok(Vec::new());
-        }
-        let read = self.dataset.read_slice(&starts, &counts);
-        read.map_err(|e| StoredError::Object {
-            path: self.path.clone(),
-            object: self.object.clone(),
-            reason: e.to_string(),
-        })
     }
 }

@@ -39,26 +39,7 @@ impl Whole<'_> {
         let listed = self.manifest.asked.points;
         let mut there = States::none(listed);
         let folder = file.path().parent().map(Path::to_owned);
-        let mut files = ShardFiles::default();
-        for k in &order {
-            let source = &self.sources[*k];
-            let damaged = || source.damaged("shard_points");
-            let rows = there.take(source)?;
-            let counted = rows_of(source, rows)?.ok_or_else(damaged)?;
-            let path = source.path();
-            let bytes = std::fs::metadata(&path);
-            let bytes = bytes.map_err(|source| StoredError::Read { path, source })?;
-            files
-                .file
-                .push(name_from(folder.as_deref(), &source.path())?);
-            files.shard.push(source.manifest.shard as i32);
-            files.points.push(rows);
-            files.entries.push(counted.0);
-            files.trajectories.push(counted.1);
-            files.bytes.push(bytes.len());
-            let manifest = source.stored.attribute(MANIFEST);
-            files.manifest.push(manifest.unwrap_or_default());
-        }
+        let files = self.files(&order, folder.as_deref(), &mut there)?;
 
         let mut streams = self.streams()?;
         let mut sinks = Sinks::new(self, file, &streams, Some(&files), false)?;
@@ -95,6 +76,34 @@ impl Whole<'_> {
         sinks.flush()?;
         file.shard_files(&files)?;
         Ok(counted)
+    }
+
+    /// The parts in this order, as a file in `folder` names them, and what they have.
+    fn files(
+        &self,
+        order: &[usize],
+        folder: Option<&Path>,
+        there: &mut States,
+    ) -> Result<ShardFiles, RunError> {
+        let mut files = ShardFiles::default();
+        for k in order {
+            let source = &self.sources[*k];
+            let rows = there.take(source)?;
+            let counted = rows_of(source, rows)?;
+            let (entries, trajectories) = counted.ok_or_else(|| source.damaged("points"))?;
+            let path = source.path();
+            files.file.push(name_from(folder, &path)?);
+            let found = std::fs::metadata(&path);
+            let found = found.map_err(|source| StoredError::Read { path, source })?;
+            files.bytes.push(found.len());
+            files.shard.push(source.manifest.shard as i32);
+            files.points.push(rows);
+            files.entries.push(entries);
+            files.trajectories.push(trajectories);
+            let manifest = source.stored.attribute(MANIFEST);
+            files.manifest.push(manifest.unwrap_or_default());
+        }
+        Ok(files)
     }
 
     /// The rows of all parts.
