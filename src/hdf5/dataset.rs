@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use rust_hdf5::{FilterPipeline, H5Dataset, H5File, H5Group, H5Type, Hdf5Error};
 
 use super::attribute::AttributeOwner;
+use super::elsewhere::{Elsewhere, virtual_dataset};
 use super::spec::{Coordinate, Storage};
 use super::{AttributeValue, Compression, Dimension, Group, OutputError, Variable};
 use crate::files::Behind;
@@ -337,9 +338,14 @@ impl Maker<'_> {
         let (scale, unit) = match &dimension.coordinate {
             Coordinate::Unlimited => (self.dataset::<i64>(name, &[None], None)?, "1"),
             Coordinate::Index { length } => {
-                let numbers: Vec<i64> = (0..*length).map(|n| n as i64).collect();
                 let scale = self.dataset::<i64>(name, &[Some(*length)], None)?;
-                scale.write_raw(&numbers)?;
+                // A chunk at a time: there may be many.
+                let at_once = CHUNK_BYTES / size_of::<i64>();
+                for first in (0..*length).step_by(at_once) {
+                    let count = at_once.min(length - first);
+                    let numbers: Vec<i64> = (first..first + count).map(|n| n as i64).collect();
+                    scale.write_slice(&[first], &[count], &numbers)?;
+                }
                 (scale, "1")
             }
             Coordinate::Names(names) => (self.texts(name, names)?, "1"),
@@ -355,7 +361,7 @@ impl Maker<'_> {
     }
 
     /// A variable, with `scales` in the order of the group's dimensions; `None` for one of texts,
-    /// which is complete.
+    /// which is complete, and for one that lies elsewhere.
     fn variable(
         &self,
         variable: &Variable,
@@ -367,11 +373,14 @@ impl Maker<'_> {
             .map(|name| self.group.find_dimension(name)?.length())
             .collect();
         let name = variable.name.as_str();
-        let (dataset, kind) = match &variable.storage {
-            Storage::F64 => (self.dataset(name, &shape, Some(f64::NAN))?, Some(F64)),
-            Storage::F32 => (self.dataset(name, &shape, Some(f32::NAN))?, Some(F64)),
-            Storage::I32 => (self.dataset::<i32>(name, &shape, None)?, Some(I32)),
-            Storage::Text(texts) => (self.texts(name, texts)?, None),
+        let (dataset, kind) = match (&variable.storage, &variable.elsewhere) {
+            (Storage::F64, None) => (self.dataset(name, &shape, Some(f64::NAN))?, Some(F64)),
+            (Storage::F64, Some(of)) => (self.elsewhere(name, &shape, f64::NAN, of)?, Some(F64)),
+            (Storage::F32, None) => (self.dataset(name, &shape, Some(f32::NAN))?, Some(F64)),
+            (Storage::F32, Some(of)) => (self.elsewhere(name, &shape, f32::NAN, of)?, Some(F64)),
+            (Storage::I32, None) => (self.dataset::<i32>(name, &shape, None)?, Some(I32)),
+            (Storage::I32, Some(of)) => (self.elsewhere(name, &shape, of.absent, of)?, Some(I32)),
+            (Storage::Text(texts), _) => (self.texts(name, texts)?, None),
         };
         describe(&dataset, &variable.unit, &variable.long_name)?;
         let single = variable.storage == Storage::F32;
@@ -391,7 +400,8 @@ impl Maker<'_> {
                 dataset.attach_scale(axis, scale)?;
             }
         }
-        Ok(kind.map(|kind| Column {
+        let here = kind.filter(|_| variable.elsewhere.is_none());
+        Ok(here.map(|kind| Column {
             name: variable.name.clone(),
             kind,
             elements: shape.iter().flatten().product(),
@@ -399,6 +409,22 @@ impl Maker<'_> {
             single,
             dataset,
         }))
+    }
+
+    /// A dataset whose numbers lie in other files, or are `fill`.
+    fn elsewhere<T: H5Type>(
+        &self,
+        name: &str,
+        shape: &[Option<usize>],
+        fill: T,
+        of: &Elsewhere,
+    ) -> Result<H5Dataset, Hdf5Error> {
+        let now: Vec<usize> = shape.iter().map(|n| n.unwrap_or(0)).collect();
+        let object = (self.group.name.as_str(), name);
+        match virtual_dataset(&self.h5, object, &now, fill, &of.files)? {
+            Some(dataset) => Ok(dataset),
+            None => self.dataset(name, shape, Some(fill)),
+        }
     }
 
     /// A numeric dataset; `None` in `shape` grows from 0.

@@ -4,7 +4,8 @@
 //! - [`ResultFile`] is the file: written under a hidden name beside its target, renamed to the
 //!   final name by [`ResultFile::finish`], gone when dropped before that;
 //! - [`Group`], [`Dimension`] and [`Variable`] declare one netCDF-like group, [`GroupWriter`] fills
-//!   it, in blocks along a growing first dimension or variable by variable.
+//!   it, in blocks along a growing first dimension or variable by variable;
+//! - [`Group::rows_elsewhere`] lets rows be read from other files.
 //!
 //! Every dimension is a dimension scale with a value for each index, every variable carries `units`
 //! and `long_name`, a missing floating-point value is NaN (also declared as `_FillValue`), and
@@ -28,12 +29,14 @@
 
 mod attribute;
 mod dataset;
+mod elsewhere;
 mod error;
 mod file;
 mod spec;
 
 pub use attribute::AttributeValue;
 pub use dataset::{GroupWriter, Values};
+pub use elsewhere::RowsOf;
 pub use error::OutputError;
 pub use file::ResultFile;
 pub use spec::{Compression, Dimension, Group, Variable};

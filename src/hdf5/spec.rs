@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use super::elsewhere::Elsewhere;
 use super::{AttributeValue, OutputError};
 
 /// How the chunks of numeric variables are stored.
@@ -118,6 +119,8 @@ pub struct Variable {
     pub(super) unit: String,
     pub(super) long_name: String,
     pub(super) attributes: Vec<(String, AttributeValue)>,
+    /// Where its numbers lie, if not here.
+    pub(super) elsewhere: Option<Elsewhere>,
 }
 
 impl Variable {
@@ -129,6 +132,7 @@ impl Variable {
             unit: "1".to_owned(),
             long_name: name.to_owned(),
             attributes: Vec::new(),
+            elsewhere: None,
         }
     }
 

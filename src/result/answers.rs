@@ -2,7 +2,7 @@
 
 use super::TrajectorySchema;
 use super::table::{Data, Table};
-use crate::hdf5::{GroupWriter, OutputError, ResultFile};
+use crate::hdf5::{Group, GroupWriter, OutputError, ResultFile};
 use crate::schema;
 use crate::value::{Answers, Entry, EqualCost, Evidence, Fold, Grid, PointStatus};
 use std::mem::take;
@@ -122,6 +122,46 @@ fn codes_later(table: &mut Table<'_>) {
     }
 }
 
+/// `/points` for about so many rows, which are appended; whether with their places among the states
+/// given.
+pub(super) fn points_declared(
+    axes: &TrajectorySchema,
+    rows: usize,
+    given: bool,
+) -> Result<Group, OutputError> {
+    let mut table = Table::new(&schema::POINTS, axes).length("point", rows);
+    solutions_later(axes, &mut table);
+    for name in [
+        "x0",
+        "iterations",
+        "residual",
+        "H",
+        "sheets",
+        "furthest",
+        "flown",
+    ] {
+        table.put(name, Data::Later);
+    }
+    codes_later(&mut table);
+    if given {
+        table.put("given", Data::Later);
+    }
+    table.declare()
+}
+
+/// `/points_sheets` for about so many rows, which are appended.
+pub(super) fn points_sheets_declared(
+    axes: &TrajectorySchema,
+    rows: usize,
+) -> Result<Group, OutputError> {
+    let mut table = Table::new(&schema::POINTS_SHEETS, axes).length("entry", rows);
+    solutions_later(axes, &mut table);
+    for name in ["point", "H", "residual"] {
+        table.put(name, Data::Later);
+    }
+    table.declare()
+}
+
 impl ResultFile {
     /// Writes `/points` and `/points_sheets` for the states given from the `first`-th on, `count`
     /// of them, in the order in which they were given.
@@ -190,21 +230,7 @@ impl ResultFile {
         axes: &TrajectorySchema,
         rows: usize,
     ) -> Result<GroupWriter, OutputError> {
-        let mut table = Table::new(&schema::POINTS, axes).length("point", rows);
-        solutions_later(axes, &mut table);
-        for name in [
-            "x0",
-            "iterations",
-            "residual",
-            "H",
-            "sheets",
-            "furthest",
-            "flown",
-        ] {
-            table.put(name, Data::Later);
-        }
-        codes_later(&mut table);
-        self.group(&table.declare()?)
+        self.group(&points_declared(axes, rows, false)?)
     }
 
     /// Makes `/points_sheets` for about so many rows, which are appended.
@@ -216,12 +242,7 @@ impl ResultFile {
         axes: &TrajectorySchema,
         rows: usize,
     ) -> Result<GroupWriter, OutputError> {
-        let mut table = Table::new(&schema::POINTS_SHEETS, axes).length("entry", rows);
-        solutions_later(axes, &mut table);
-        for name in ["point", "H", "residual"] {
-            table.put(name, Data::Later);
-        }
-        self.group(&table.declare()?)
+        self.group(&points_sheets_declared(axes, rows)?)
     }
 
     /// Makes `/map` for a grid, to be written in parts.

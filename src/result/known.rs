@@ -55,17 +55,18 @@ impl Stored {
 
     /// Whether its run was ended before everything was swept and solved.
     fn is_stopped(&self) -> bool {
-        self.has_attribute("stopped")
+        self.has_attribute("stopped") || !self.absent_parts().is_empty()
     }
 
     /// What the file may lack, in words, where its run was ended before all was done.
     pub fn ended_early(&self) -> Option<&'static str> {
-        if self.is_stopped() && self.has_map() {
+        let stopped = self.has_attribute("stopped");
+        if stopped && self.has_map() {
             return Some(
                 "before everything was swept and solved: a cheaper solution may be missing, and the map knows V in less of its region than was asked for",
             );
         }
-        if self.is_stopped() {
+        if stopped {
             return Some(
                 "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and V is not interpolated between solved states",
             );

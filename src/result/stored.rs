@@ -1,5 +1,7 @@
 //! Reading a result file: its scene, and its groups as arrays.
 
+use super::column::StoredColumn;
+use super::elsewhere::{VIRTUAL, absent, given_order, taken};
 use super::record::RunRecord;
 use crate::diagnostics::ScenarioErrors;
 use crate::files;
@@ -41,6 +43,16 @@ pub enum StoredError {
         object: String,
         reason: String,
     },
+    #[error(
+        "{path} reads its numbers from {part}, which is another file than the one that was merged: merge the parts again",
+        path = path.display()
+    )]
+    OtherPart { path: PathBuf, part: String },
+    #[error(
+        "{path} reads its numbers from {part}, which is gone, and HDF5 would take the file of that name in the present folder for it: run this in another folder, or merge the parts again",
+        path = path.display()
+    )]
+    InPlaceOf { path: PathBuf, part: String },
     #[error("{path} has no group /{group}{hint}", path = path.display())]
     NoGroup {
         path: PathBuf,
@@ -83,6 +95,10 @@ pub struct Stored {
     name: PathBuf,
     pub scene: Scene,
     file: H5File,
+    /// Files of parts that its rows lie in and that are not there.
+    absent: Vec<String>,
+    /// Held, so that parts stay open once they are: each variable would open all of them anew.
+    _held: Option<H5Dataset>,
 }
 
 impl std::fmt::Debug for Stored {
@@ -156,11 +172,18 @@ impl Stored {
             errors: Box::new(errors),
         };
         let scene = Scene::parse_with(&text, &name, &overrides).map_err(wrong)?;
-        Ok(Self {
+        let this = Self {
             path: path.to_owned(),
             name: path.to_owned(),
             scene,
             file,
+            absent: Vec::new(),
+            _held: None,
+        };
+        Ok(Self {
+            absent: absent(&this)?,
+            _held: held(&this),
+            ..this
         })
     }
 
@@ -178,6 +201,11 @@ impl Stored {
     /// How messages call the file.
     pub(crate) fn name(&self) -> PathBuf {
         self.name.clone()
+    }
+
+    /// The files of parts that its rows lie in and that are not there: nothing is known of them.
+    pub fn absent_parts(&self) -> &[String] {
+        &self.absent
     }
 
     /// A root attribute that is a text.
@@ -260,7 +288,7 @@ impl Stored {
             Some(_) => Ok(Vec::new()),
             None => group.shaped(name, shape),
         };
-        Ok(Some(SweptTrajectories {
+        let found = SweptTrajectories {
             count,
             samples,
             t: full("t", &[count, samples])?,
@@ -271,11 +299,15 @@ impl Stored {
             status: group.i32("status")?.1,
             sheet: group.i32("sheet")?.1,
             v: v.values,
+        };
+        Ok(Some(match given_order(&group, count)? {
+            Some(order) => found.in_order(&order),
+            None => found,
         }))
     }
 
-    /// `/points`, of V(x, t) those at t = 0; `None` where it is absent. States without a solution
-    /// have NaN.
+    /// `/points` in the order in which the states were given, of V(x, t) those at t = 0; `None` where
+    /// it is absent. States without a solution have NaN.
     ///
     /// # Errors
     /// [`StoredError::Object`] where it is not as this program writes it, or has rows of later
@@ -289,6 +321,16 @@ impl Stored {
         let mut points = self.solutions(&group, count)?;
         points.x = x.values;
         points.point = (0..count as i32).collect();
+        let widths = (
+            self.scene.model.states.len(),
+            self.scene.model.controls.len(),
+        );
+        if let Some(order) = given_order(&group, count)? {
+            points = points.taken(widths, &order);
+        }
+        if !self.absent.is_empty() {
+            points.forget_sheets();
+        }
         let Some(times) = self.times(&group)? else {
             return Ok(Some(points));
         };
@@ -300,21 +342,7 @@ impl Stored {
         if kept.is_empty() && count > 0 {
             return Err(group.error(name, &self.later("no row")));
         }
-        let (n, m) = (
-            self.scene.model.states.len(),
-            self.scene.model.controls.len(),
-        );
-        Ok(Some(SolvedStates {
-            count: kept.len(),
-            x: taken(&points.x, n, &kept),
-            v: taken(&points.v, 1, &kept),
-            p: taken(&points.p, n, &kept),
-            u: taken(&points.u, m, &kept),
-            sheet: taken(&points.sheet, 1, &kept),
-            point: taken(&points.point, 1, &kept),
-            status: taken(&points.status, 1, &kept),
-            errors: taken(&points.errors, 1, &kept),
-        }))
+        Ok(Some(points.taken(widths, &kept)))
     }
 
     /// Errors of a group's values, if these were interpolated.
@@ -365,15 +393,29 @@ impl Stored {
         let (_, point) = group.i32("point")?;
         let n = self.scene.model.states.len();
         let mut entries = self.solutions(&group, point.len())?;
+        // The place of each row of /points among the states that were read.
+        let mut places: Vec<(i32, usize)> = points.point.iter().copied().zip(0..).collect();
+        places.sort_unstable();
+        let mut at = Vec::with_capacity(point.len());
         for &k in &point {
-            let row = points.point.binary_search(&k).ok();
-            let at = row.and_then(|k| points.x.get(k * n..(k + 1) * n));
-            let at =
-                at.ok_or_else(|| group.error("point", "names a point that /points does not have"))?;
-            entries.x.extend_from_slice(at);
+            let row = places.binary_search_by_key(&k, |(row, _)| *row).ok();
+            let place = row.map(|row| places[row].1);
+            let x = place.and_then(|k| points.x.get(k * n..(k + 1) * n));
+            let (Some(place), Some(x)) = (place, x) else {
+                return Err(group.error("point", "names a point that /points does not have"));
+            };
+            entries.x.extend_from_slice(x);
+            at.push(place);
         }
         entries.point = point;
-        Ok(Some(entries))
+        // As the states come; without those of parts that are not there.
+        let mut order: Vec<usize> = (0..entries.count)
+            .filter(|k| self.absent.is_empty() || !entries.v[*k].is_nan())
+            .collect();
+        order.sort_by_key(|k| at[*k]);
+        Ok(Some(
+            entries.taken((n, self.scene.model.controls.len()), &order),
+        ))
     }
 
     fn solutions(
@@ -446,6 +488,14 @@ impl Stored {
             axes: map.axes,
         }))
     }
+}
+
+/// The first variable of a virtual file that is read of many.
+fn held(stored: &Stored) -> Option<H5Dataset> {
+    let group = stored.group(&schema::POINTS)?;
+    stored
+        .has_attribute(VIRTUAL)
+        .then(|| group.open("V").ok())?
 }
 
 impl StoredGroup<'_> {
@@ -574,16 +624,8 @@ impl StoredGroup<'_> {
     /// [`StoredError::Object`] where there is no such dataset.
     pub fn column(&self, name: &str) -> Result<StoredColumn, StoredError> {
         let dataset = self.dataset(name)?;
-        let shape = dataset.shape();
-        let whole = matches!(dataset.datatype(), Ok(DatatypeMessage::FixedPoint { .. }));
-        Ok(StoredColumn {
-            path: self.stored.path.clone(),
-            object: format!("{}/{name}", self.name),
-            rows: shape.first().copied().unwrap_or(0),
-            inner: shape.get(1..).unwrap_or_default().to_vec(),
-            whole,
-            dataset,
-        })
+        let object = format!("{}/{name}", self.name);
+        Ok(StoredColumn::new(&self.stored.path, object, dataset))
     }
 
     /// An error that names a dataset of this group.
@@ -647,71 +689,4 @@ impl StoredGroup<'_> {
     fn hdf5(&self, name: &str, error: &Hdf5Error) -> StoredError {
         self.error(name, &error.to_string())
     }
-}
-
-/// A variable of a file of which rows are read as they are wanted.
-pub struct StoredColumn {
-    path: PathBuf,
-    object: String,
-    /// Along its first dimension, and the lengths of the others.
-    pub rows: usize,
-    pub inner: Vec<usize>,
-    /// Whether it has integers.
-    pub whole: bool,
-    dataset: H5Dataset,
-}
-
-impl StoredColumn {
-    /// Numbers of one row.
-    pub fn width(&self) -> usize {
-        self.inner.iter().product()
-    }
-
-    /// Some rows of real numbers.
-    ///
-    /// # Errors
-    /// [`StoredError::Object`] where they cannot be read.
-    pub fn f64(&self, first: usize, count: usize) -> Result<Vec<f64>, StoredError> {
-        self.read(first, count)
-    }
-
-    /// Some rows of integers.
-    ///
-    /// # Errors
-    /// [`StoredError::Object`] where they cannot be read.
-    pub fn i32(&self, first: usize, count: usize) -> Result<Vec<i32>, StoredError> {
-        self.read(first, count)
-    }
-
-    fn read<T: rust_hdf5::H5Type>(
-        &self,
-        first: usize,
-        count: usize,
-    ) -> Result<Vec<T>, StoredError> {
-        let starts: Vec<usize> = std::iter::once(first)
-            .chain(self.inner.iter().map(|_| 0))
-            .collect();
-        let counts: Vec<usize> = std::iter::once(count)
-            .chain(self.inner.iter().copied())
-            .collect();
-        if counts.contains(&0) {
-            return Ok(Vec::new());
-        }
-        let read = self.dataset.read_slice(&starts, &counts);
-        read.map_err(|e| StoredError::Object {
-            path: self.path.clone(),
-            object: self.object.clone(),
-            reason: e.to_string(),
-        })
-    }
-}
-
-/// Some rows of an array.
-fn taken<T: Copy>(all: &[T], width: usize, rows: &[usize]) -> Vec<T> {
-    if all.is_empty() {
-        return Vec::new();
-    }
-    (rows.iter())
-        .flat_map(|row| all[row * width..][..width].iter().copied())
-        .collect()
 }

@@ -22,7 +22,7 @@ pub use loops::{
 };
 pub use maps::{MAP_BEYOND, MAP_CHECK, MAP_PIECES};
 pub use page::markdown;
-pub use shards::{SHARD, SHARD_POINTS, SHARD_SEAMS, SHARD_SHEETS};
+pub use shards::{SHARD, SHARD_FILES, SHARD_POINTS, SHARD_SEAMS, SHARD_SHEETS};
 pub use simulations::{CYCLES, SIMULATION, SIMULATION_EVENTS, SIMULATION_SAMPLES};
 pub use studies::{
     ATTENUATION, ATTENUATION_CAUSTIC, ATTENUATION_REGIONS, STUDY, STUDY_TRAJECTORIES,
@@ -30,7 +30,7 @@ pub use studies::{
 pub use values::{CAUSTIC, EQUAL_COST, FOLDS, MAP, POINTS, POINTS_SHEETS, TRAJECTORIES};
 
 /// Every group, in the order in which the reference shows them.
-pub static GROUPS: [&Group; 34] = [
+pub static GROUPS: [&Group; 35] = [
     &TRAJECTORIES,
     &CAUSTIC,
     &POINTS,
@@ -65,6 +65,7 @@ pub static GROUPS: [&Group; 34] = [
     &SHARD_POINTS,
     &SHARD_SHEETS,
     &SHARD_SEAMS,
+    &SHARD_FILES,
 ];
 
 /// A group of the file.

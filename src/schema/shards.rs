@@ -1,6 +1,6 @@
 //! What a shard's file has for `costate merge`, beside its results.
 
-use super::{Along, Group, Unit, along, integer, real};
+use super::{Along, Group, Unit, along, integer, real, text};
 
 /// The blocks of states that a shard has solved for.
 pub static SHARD: Group = Group {
@@ -56,5 +56,43 @@ pub static SHARD_SEAMS: Group = Group {
     title: "solutions at the edges of blocks, by which merge joins sheets: numbers in an order of their own",
     dimensions: &[along("number", Along::Rows, "place in the list")],
     variables: &[real("value", &["number"], Unit::One, "a number")],
+    attributes: &[],
+};
+
+/// Where the rows of a virtual whole lie.
+pub static SHARD_FILES: Group = Group {
+    name: "shard_files",
+    title: "parts in which the rows of this file lie: they are read from there",
+    dimensions: &[along("part", Along::Index, "place in the list")],
+    variables: &[
+        text(
+            "file",
+            &["part"],
+            "the part: from the folder of this file, or absolute",
+        ),
+        integer("shard", &["part"], "number of the shard"),
+        integer("points", &["part"], "rows of /points that lie in it"),
+        integer(
+            "entries",
+            &["part"],
+            "rows of /points_sheets that lie in it",
+        ),
+        integer(
+            "trajectories",
+            &["part"],
+            "rows of /trajectories that lie in it",
+        ),
+        real(
+            "bytes",
+            &["part"],
+            Unit::One,
+            "how long it was when the whole was made",
+        ),
+        text(
+            "manifest",
+            &["part"],
+            "its root attribute `manifest`, which says what it is a part of",
+        ),
+    ],
     attributes: &[],
 };

@@ -5,6 +5,8 @@ use super::{
     integer, real,
 };
 
+const VIRTUAL: When = When::With("`merge --virtual`");
+
 /// Swept trajectories.
 pub static TRAJECTORIES: Group = Group {
     name: "trajectories",
@@ -61,6 +63,12 @@ pub static TRAJECTORIES: Group = Group {
             Unit::CostRate,
             "largest deviation of the Hamiltonian from its invariant value",
         ),
+        integer(
+            "given",
+            &["trajectory"],
+            "number of the state that it begins at, in the order in which states were given",
+        )
+        .when(VIRTUAL),
     ],
     attributes: &[(
         "stored",
@@ -218,7 +226,7 @@ pub static POINTS: Group = Group {
     name: "points",
     title: "value function at chosen states",
     dimensions: &[along("point", Along::Rows, "point index"), STATES, CONTROLS],
-    variables: &joined::<6, 11, 8, 25>(
+    variables: &joined::<6, 11, 9, 26>(
         solution!("point"),
         evidence!("point"),
         [
@@ -253,6 +261,12 @@ pub static POINTS: Group = Group {
                 "cost of a simulated control along the answer, of states that were listed",
             )
             .when(SOLVED),
+            integer(
+                "given",
+                &["point"],
+                "number of the state in the order in which states were given; rows are in that order where it is absent",
+            )
+            .when(VIRTUAL),
         ],
     ),
     attributes: &[],

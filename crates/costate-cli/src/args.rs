@@ -313,6 +313,10 @@ pub struct MergeArgs {
     /// Put together what there is; states of shards that are missing have the status `not_merged`.
     #[arg(long)]
     pub partial: bool,
+    /// Leave the numbers of states in the parts, from which they are then read (virtual datasets of
+    /// HDF5): the parts must stay where they are. States come in the order of the parts.
+    #[arg(long = "virtual")]
+    pub stay: bool,
     #[command(flatten)]
     pub print: PrintArgs,
 }

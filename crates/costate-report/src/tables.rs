@@ -263,6 +263,11 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
         "Ended early",
         summary.as_ref().map_or_else(String::new, ended_early),
     );
+    if let [first, ..] = source.stored.absent_parts() {
+        let count = source.stored.absent_parts().len();
+        let gone = format!("{count} ({first}): nothing is known of the states there");
+        figures.add("Parts that are gone", gone);
+    }
     match summary.as_ref().filter(|s| s.trajectories_stored) {
         Some(s) => figures.add_sweep(s),
         None => {

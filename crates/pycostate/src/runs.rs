@@ -289,7 +289,10 @@ pub fn merge(
     partial: bool,
 ) -> PyResult<(PathBuf, Vec<usize>, Vec<usize>)> {
     let merged = py.detach(|| {
-        let options = MergeOptions { partial };
+        let options = MergeOptions {
+            partial,
+            ..MergeOptions::default()
+        };
         put_together(&parts, &out, options, &provenance(), &Silent)
     });
     match merged {

@@ -18,6 +18,8 @@ use std::path::{Path, PathBuf};
 pub struct MergeOptions {
     /// Puts together what there is: states of shards that are missing have the status `not_merged`.
     pub partial: bool,
+    /// Leaves rows in the parts, from which they are read.
+    pub stay: bool,
 }
 
 /// What came of it.
@@ -29,6 +31,8 @@ pub struct Merged {
     pub files: usize,
     /// How many shards there are of the whole.
     pub shards: usize,
+    /// Whether rows are read from these files.
+    pub stay: bool,
     /// Shards that are missing.
     pub missing: Vec<usize>,
     /// Shards that were ended before they were done.
@@ -103,6 +107,16 @@ pub enum MergeError {
     OtherShard { path: PathBuf, shard: usize },
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
+    #[error(
+        "{path} is a part of a study or of closed loops, and --virtual is for states: leave it out; such parts are small",
+        path = path.display()
+    )]
+    VirtualSmall { path: PathBuf },
+    #[error(
+        "{path}: what --virtual writes down is the names of parts, and this one is no text (UTF-8): give it another name, or leave --virtual out",
+        path = path.display()
+    )]
+    NoText { path: PathBuf },
 }
 
 /// Numbers, with ranges where several follow each other: `0, 3-7, 9`.
@@ -146,7 +160,17 @@ pub fn merge(
     let session = Session::on(&first.stored.scene, Box::new(Cpu::new())).with_progress(progress);
     let gaps = (!missing.is_empty() || !unfinished.is_empty()).then_some((&*missing, &*unfinished));
     let (path, summary) = match first.manifest.of {
-        Kind::States => assemble(&session, &sources, Into::Whole(gaps), out, provenance)?,
+        Kind::States => {
+            let into = match options.stay {
+                true => Into::Virtual(gaps),
+                false => Into::Whole(gaps),
+            };
+            assemble(&session, &sources, into, out, provenance)?
+        }
+        Kind::Study | Kind::ClosedLoop if options.stay => {
+            let path = first.path();
+            return Err(MergeError::VirtualSmall { path }.into());
+        }
         Kind::Study => {
             let (file, summary) =
                 study::assemble(&session, &sources, (gaps.is_some(), out), provenance)?;
@@ -159,6 +183,7 @@ pub fn merge(
     Ok(Merged {
         files: sources.len(),
         shards: first.manifest.shards,
+        stay: options.stay,
         path,
         missing,
         unfinished,

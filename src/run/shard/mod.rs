@@ -1,6 +1,7 @@
 //! Files of parts of the whole: what each says of itself, and how they become one.
 
 mod before;
+mod elsewhere;
 mod loops;
 mod manifest;
 mod merge;
@@ -21,13 +22,12 @@ pub use study::{StudyDone, study};
 
 use super::RunError;
 use crate::hdf5::ResultFile;
-use crate::result::{ShardGroups, TrajectorySchema};
+use crate::result::{MANIFEST, ShardGroups, TrajectorySchema};
 use crate::session::Part;
 use crate::value::Answers;
 use crate::value::blocks::Seam;
 
-/// The root attributes that the manifests of parts and of wholes are in.
-const MANIFEST: &str = "manifest";
+/// The root attribute that the manifest of a whole is in.
 const WHOLE: &str = "whole";
 
 /// Writes the states that were solved for as a part of the whole: all of them to `/points`, those

@@ -3,6 +3,7 @@
 use crate::hdf5::{GroupWriter, OutputError, Values};
 use crate::result::{StoredColumn, StoredError, StoredGroup};
 use crate::schema;
+use std::ops::Range;
 
 /// Numbers of a column.
 #[derive(Clone, Debug)]
@@ -16,6 +17,14 @@ impl Column {
         match self {
             Self::Reals(numbers) => numbers.clear(),
             Self::Wholes(numbers) => numbers.clear(),
+        }
+    }
+
+    /// Adds numbers that are not known.
+    fn unknown(&mut self, count: usize) {
+        match self {
+            Self::Reals(numbers) => numbers.extend(std::iter::repeat_n(f64::NAN, count)),
+            Self::Wholes(numbers) => numbers.extend(std::iter::repeat_n(0, count)),
         }
     }
 
@@ -63,6 +72,15 @@ impl Layout {
         self.names.iter().position(|own| *own == name)
     }
 
+    /// Integers, one a row.
+    pub fn of_integers(names: &[&'static str]) -> Self {
+        Self {
+            names: names.to_vec(),
+            widths: vec![1; names.len()],
+            whole: vec![true; names.len()],
+        }
+    }
+
     /// The variables that another group has too, and their places here.
     pub fn part_of(&self, other: &schema::Group) -> (Self, Vec<usize>) {
         let has = |name: &str| other.variables.iter().any(|v| v.name == name);
@@ -87,16 +105,15 @@ impl Layout {
     }
 }
 
-/// The rows of a group, read one after the other.
+/// The rows of a group, read one after the other; of each column only what is asked for.
 pub struct Rows {
     columns: Vec<StoredColumn>,
-    window: Vec<Column>,
+    /// Of each column the rows in memory, and which these are.
+    window: Vec<(Column, Range<usize>)>,
     /// How many are read at once, and in all.
     at_once: usize,
     pub count: usize,
-    /// Those in memory, and the present one.
-    first: usize,
-    last: usize,
+    /// The present one.
     pub at: usize,
 }
 
@@ -124,12 +141,10 @@ impl Rows {
             }
         }
         Ok(Self {
-            window: layout.empty(),
+            window: layout.empty().into_iter().map(|c| (c, 0..0)).collect(),
             columns,
             at_once,
             count,
-            first: 0,
-            last: 0,
             at: 0,
         })
     }
@@ -139,22 +154,23 @@ impl Rows {
         self.at += 1;
     }
 
-    /// The present row in memory.
+    /// A column in memory, and which of its numbers are the present row's.
     ///
     /// # Errors
     /// Where it cannot be read.
-    fn here(&mut self) -> Result<usize, StoredError> {
-        if !(self.first..self.last).contains(&self.at) {
+    fn here(&mut self, place: usize) -> Result<(&Column, Range<usize>), StoredError> {
+        let (column, width) = (&self.columns[place], self.columns[place].width());
+        let (numbers, rows) = &mut self.window[place];
+        if !rows.contains(&self.at) {
             let count = self.at_once.min(self.count.saturating_sub(self.at));
-            for (column, to) in self.columns.iter().zip(&mut self.window) {
-                match to {
-                    Column::Reals(numbers) => *numbers = column.f64(self.at, count)?,
-                    Column::Wholes(numbers) => *numbers = column.i32(self.at, count)?,
-                }
+            match numbers {
+                Column::Reals(numbers) => *numbers = column.f64(self.at, count)?,
+                Column::Wholes(numbers) => *numbers = column.i32(self.at, count)?,
             }
-            (self.first, self.last) = (self.at, self.at + count);
+            *rows = self.at..self.at + count;
         }
-        Ok(self.at - self.first)
+        let here = self.at - rows.start;
+        Ok((numbers, here * width..(here + 1) * width))
     }
 
     /// The present row's integer of a column; 0 where the column has none.
@@ -162,11 +178,7 @@ impl Rows {
     /// # Errors
     /// Where it cannot be read.
     pub fn whole(&mut self, place: usize) -> Result<i32, StoredError> {
-        let here = self.here()?;
-        Ok(match &self.window[place] {
-            Column::Wholes(numbers) => numbers.get(here).copied().unwrap_or(0),
-            Column::Reals(_) => 0,
-        })
+        Ok(self.wholes(place)?.first().copied().unwrap_or(0))
     }
 
     /// The present row's numbers of a column of reals.
@@ -174,11 +186,9 @@ impl Rows {
     /// # Errors
     /// Where they cannot be read.
     pub fn reals(&mut self, place: usize) -> Result<&[f64], StoredError> {
-        let here = self.here()?;
-        let width = self.columns[place].width();
-        Ok(match &self.window[place] {
-            Column::Reals(numbers) => &numbers[here * width..(here + 1) * width],
-            Column::Wholes(_) => &[],
+        Ok(match self.here(place)? {
+            (Column::Reals(numbers), own) => &numbers[own],
+            (Column::Wholes(_), _) => &[],
         })
     }
 
@@ -187,11 +197,9 @@ impl Rows {
     /// # Errors
     /// Where they cannot be read.
     pub fn wholes(&mut self, place: usize) -> Result<&[i32], StoredError> {
-        let here = self.here()?;
-        let width = self.columns[place].width();
-        Ok(match &self.window[place] {
-            Column::Wholes(numbers) => &numbers[here * width..(here + 1) * width],
-            Column::Reals(_) => &[],
+        Ok(match self.here(place)? {
+            (Column::Wholes(numbers), own) => &numbers[own],
+            (Column::Reals(_), _) => &[],
         })
     }
 }
@@ -201,6 +209,8 @@ pub struct Sink {
     writer: GroupWriter,
     layout: Layout,
     columns: Vec<Column>,
+    /// Of each column its place in the rows that are taken; nothing is taken without one.
+    places: Vec<Option<usize>>,
     rows: usize,
     at_once: usize,
     /// Of a grid how many nodes there are for each value of its first axis; rows are appended else.
@@ -213,6 +223,7 @@ impl Sink {
     pub fn new(writer: GroupWriter, layout: Layout, at_once: usize, slab: Option<usize>) -> Self {
         Self {
             columns: layout.empty(),
+            places: (0..layout.names.len()).map(Some).collect(),
             at_once: match slab {
                 Some(slab) => at_once.div_ceil(slab.max(1)) * slab.max(1),
                 None => at_once,
@@ -225,20 +236,29 @@ impl Sink {
         }
     }
 
-    /// Takes the present row of another group; of both the variables of this one's layout are at
-    /// these places.
+    /// Takes its columns from others of the rows that come.
+    #[must_use]
+    pub fn taking(self, places: Vec<Option<usize>>) -> Self {
+        Self { places, ..self }
+    }
+
+    /// Takes the present row of another group.
     ///
     /// # Errors
     /// Of reading.
-    pub fn take(&mut self, rows: &mut Rows, places: &[usize]) -> Result<(), StoredError> {
-        let here = rows.here()?;
-        for ((to, place), width) in self.columns.iter_mut().zip(places).zip(&self.layout.widths) {
-            let part = here * width..(here + 1) * width;
-            match (to, &rows.window[*place]) {
-                (Column::Reals(to), Column::Reals(from)) => to.extend_from_slice(&from[part]),
-                (Column::Wholes(to), Column::Wholes(from)) => to.extend_from_slice(&from[part]),
-                (Column::Reals(to), _) => to.extend(std::iter::repeat_n(f64::NAN, *width)),
-                (Column::Wholes(to), _) => to.extend(std::iter::repeat_n(0, *width)),
+    pub fn take(&mut self, rows: &mut Rows) -> Result<(), StoredError> {
+        let columns = self.columns.iter_mut().zip(&self.places);
+        for ((to, place), width) in columns.zip(&self.layout.widths) {
+            let Some(place) = *place else {
+                to.unknown(*width);
+                continue;
+            };
+            match (to, rows.here(place)?) {
+                (Column::Reals(to), (Column::Reals(from), own)) => to.extend_from_slice(&from[own]),
+                (Column::Wholes(to), (Column::Wholes(from), own)) => {
+                    to.extend_from_slice(&from[own]);
+                }
+                (to, _) => to.unknown(*width),
             }
         }
         self.rows += 1;
@@ -248,10 +268,7 @@ impl Sink {
     /// A row of which nothing is known.
     pub fn nothing(&mut self) {
         for (to, width) in self.columns.iter_mut().zip(&self.layout.widths) {
-            match to {
-                Column::Reals(to) => to.extend(std::iter::repeat_n(f64::NAN, *width)),
-                Column::Wholes(to) => to.extend(std::iter::repeat_n(0, *width)),
-            }
+            to.unknown(*width);
         }
         self.rows += 1;
     }

@@ -1,11 +1,12 @@
 //! The rows of parts, with all that belongs to them, on their way into the groups of the whole.
 
 use super::super::RunError;
+use super::elsewhere::own_columns;
 use super::rows::{Layout, Rows, Sink};
 use super::source::Source;
 use super::whole::Whole;
 use crate::hdf5::ResultFile;
-use crate::result::{ShardGroups, StoredError, TrajectorySchema};
+use crate::result::{ShardFiles, ShardGroups, StoredError, TrajectorySchema};
 use crate::schema;
 use crate::sweep::Plan;
 use crate::value::PointStatus;
@@ -124,7 +125,7 @@ impl Stream {
 pub(super) struct Sinks {
     points: Option<Sink>,
     solutions: Option<Sink>,
-    map: Option<(Sink, Vec<usize>)>,
+    map: Option<Sink>,
     trajectories: Option<Sink>,
     value_max: Option<f64>,
     names: Layouts,
@@ -137,6 +138,7 @@ impl Sinks {
         whole: &Whole<'_>,
         file: &mut ResultFile,
         streams: &[Stream],
+        files: Option<&ShardFiles>,
         is_part: bool,
     ) -> Result<Self, RunError> {
         let (schema, at_once) = (&whole.schema, MOST_ROWS);
@@ -150,15 +152,24 @@ impl Sinks {
         };
         let asked = &whole.manifest.asked;
         let count = if is_part { asked.rows } else { asked.points };
-        let points = match &names.points {
-            Some(layout) if count > 0 => {
+        let points = match (&names.points, files) {
+            (Some(_), Some(files)) if count > 0 => {
+                let writer = file.points_elsewhere(schema, count, files)?;
+                Some(own_columns(writer, &ShardFiles::OWN_OF_POINTS))
+            }
+            (Some(layout), None) if count > 0 => {
                 let writer = file.points_later(schema, count)?;
                 Some(Sink::new(writer, layout.clone(), at_once, None))
             }
             _ => None,
         };
-        let solutions = match &names.solutions {
-            Some(layout) if count > 0 => {
+        let any_of = |of: &[usize]| of.iter().any(|rows| *rows > 0);
+        let solutions = match (&names.solutions, files) {
+            (Some(_), Some(files)) if any_of(&files.entries) => {
+                let writer = file.points_sheets_elsewhere(schema, files)?;
+                Some(own_columns(writer, &ShardFiles::OWN_OF_ENTRIES))
+            }
+            (Some(layout), None) if count > 0 => {
                 let writer = file.points_sheets_later(schema, count)?;
                 Some(Sink::new(writer, layout.clone(), at_once, None))
             }
@@ -169,7 +180,8 @@ impl Sinks {
                 let (layout, places) = of_points.part_of(&schema::MAP);
                 let slab = grid.len() / grid.axes[0].len();
                 let writer = file.map_later(schema, grid)?;
-                Some((Sink::new(writer, layout, at_once, Some(slab)), places))
+                let places = places.into_iter().map(Some).collect();
+                Some(Sink::new(writer, layout, at_once, Some(slab)).taking(places))
             }
             _ => None,
         };
@@ -179,8 +191,17 @@ impl Sinks {
                     samples,
                     ..schema.clone()
                 };
-                let writer = file.group(&schema.group()?)?;
-                Some(Sink::new(writer, layout.clone(), at_once / 8, None))
+                match files {
+                    Some(files) if any_of(&files.trajectories) => {
+                        let writer = file.trajectories_elsewhere(&schema, files)?;
+                        Some(own_columns(writer, &ShardFiles::OWN_OF_TRAJECTORIES))
+                    }
+                    Some(_) => None,
+                    None => {
+                        let writer = file.group(&schema.group()?)?;
+                        Some(Sink::new(writer, layout.clone(), at_once / 8, None))
+                    }
+                }
             }
             _ => None,
         };
@@ -200,10 +221,11 @@ impl Sinks {
     pub fn nothing(&mut self, whole: &Whole<'_>, row: usize) -> Result<(), RunError> {
         let sink = match row < self.listed {
             true => self.points.as_mut(),
-            false => self.map.as_mut().map(|(sink, _)| sink),
+            false => self.map.as_mut(),
         };
         let Some(sink) = sink else { return Ok(()) };
         sink.nothing();
+        sink.set_wholes("given", row as i32);
         sink.set_wholes("sheet", -1);
         sink.set_wholes("lifted_sheet", -1);
         sink.set_wholes("status", PointStatus::NotMerged as i32);
@@ -217,21 +239,21 @@ impl Sinks {
         Ok(sink.flush_if_full()?)
     }
 
-    /// The present state of a part with all that belongs to it. `None` where its sheets are none of
-    /// its block's.
+    /// The present state of a part with all that belongs to it: its number among all, and its row in
+    /// `/points`. `None` where its sheets are none of its block's.
     pub fn row(
         &mut self,
         whole: &Whole<'_>,
         stream: &mut Stream,
-        row: usize,
+        (row, place): (usize, usize),
         numbers: &dyn Fn(i32) -> Option<(i32, i32)>,
         (counted, mut part): (&mut Counted, Option<&mut ShardGroups>),
     ) -> Result<Option<()>, RunError> {
         let (Some(rows), Some(layout)) = (&mut stream.points, &self.names.points) else {
             return Ok(None);
         };
-        let place = |name: &str| layout.place(name).unwrap_or(usize::MAX);
-        let (v, sheets, status) = (place("V"), place("sheets"), place("status"));
+        let of = |name: &str| layout.place(name).unwrap_or(usize::MAX);
+        let (v, sheets, status) = (of("V"), of("sheets"), of("status"));
         let value = rows.reals(v)?[0];
         let count = rows.whole(sheets)?;
         let mut code = rows.whole(status)?;
@@ -240,14 +262,14 @@ impl Sinks {
         };
         if row < self.listed {
             if let Some(sink) = &mut self.points {
-                let all: Vec<usize> = (0..layout.names.len()).collect();
-                sink.take(rows, &all)?;
+                sink.take(rows)?;
+                sink.set_wholes("given", row as i32);
                 sink.set_wholes("sheet", sheet);
                 sink.set_wholes("lifted_sheet", lifted);
                 sink.flush_if_full()?;
             }
-        } else if let Some((sink, places)) = &mut self.map {
-            sink.take(rows, places)?;
+        } else if let Some(sink) = &mut self.map {
+            sink.take(rows)?;
             sink.set_wholes("sheet", sheet);
             sink.set_wholes("lifted_sheet", lifted);
             if self.value_max.is_some_and(|most| value > most) {
@@ -269,21 +291,21 @@ impl Sinks {
         *counted.status.entry(status.to_owned()).or_insert(0) += 1;
 
         for _ in 0..count {
-            let (Some((solutions, of)), Some(layout)) =
+            let (Some((solutions, within)), Some(layout)) =
                 (&mut stream.solutions, &self.names.solutions)
             else {
                 return Ok(None);
             };
-            let Some((sheet, lifted)) = numbers(of.whole(0)?) else {
+            let Some((sheet, lifted)) = numbers(within.whole(0)?) else {
                 return Ok(None);
             };
-            let place = |name: &str| layout.place(name).unwrap_or(usize::MAX);
+            let of = |name: &str| layout.place(name).unwrap_or(usize::MAX);
             let is_counted = stream.place.whole(3)? == 0;
-            let residual = solutions.reals(place("residual"))?[0];
+            let residual = solutions.reals(of("residual"))?[0];
             counted.residual = counted.residual.max(residual);
-            let h = solutions.reals(place("H"))?[0].abs();
-            let p = solutions.reals(place("p"))?.to_vec();
-            let winding = solutions.wholes(place("winding"))?.to_vec();
+            let h = solutions.reals(of("H"))?[0].abs();
+            let p = solutions.reals(of("p"))?.to_vec();
+            let winding = solutions.wholes(of("winding"))?.to_vec();
             if let Some(x) = stream.points.as_mut().filter(|_| is_counted) {
                 let x = x.reals(
                     self.names
@@ -299,30 +321,23 @@ impl Sinks {
             if row < self.listed
                 && let Some(sink) = &mut self.solutions
             {
-                let all: Vec<usize> = (0..layout.names.len()).collect();
-                sink.take(solutions, &all)?;
-                let point = part.as_ref().map_or(row, |part| part.index.len() - 1);
+                sink.take(solutions)?;
                 if let Some(part) = &mut part {
-                    part.entry_sheet.push(of.whole(0)?);
+                    part.entry_sheet.push(within.whole(0)?);
                 }
-                sink.set_wholes("point", point as i32);
+                sink.set_wholes("point", place as i32);
                 sink.set_wholes("sheet", sheet);
                 sink.set_wholes("lifted_sheet", lifted);
                 sink.flush_if_full()?;
             }
             solutions.advance();
-            of.advance();
+            within.advance();
         }
         if value.is_finite()
             && let (Some(sink), Some(rows)) = (&mut self.trajectories, &mut stream.trajectories)
         {
-            let all: Vec<usize> = (0..self
-                .names
-                .trajectories
-                .as_ref()
-                .map_or(0, |l| l.names.len()))
-                .collect();
-            sink.take(rows, &all)?;
+            sink.take(rows)?;
+            sink.set_wholes("given", row as i32);
             sink.set_wholes("sheet", sheet);
             sink.flush_if_full()?;
             rows.advance();
@@ -331,11 +346,10 @@ impl Sinks {
     }
 
     pub fn flush(&mut self) -> Result<(), RunError> {
-        let map = self.map.as_mut().map(|(sink, _)| sink);
         for sink in [
             self.points.as_mut(),
             self.solutions.as_mut(),
-            map,
+            self.map.as_mut(),
             self.trajectories.as_mut(),
         ]
         .into_iter()

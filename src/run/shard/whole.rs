@@ -38,6 +38,8 @@ pub(super) fn note_gaps(file: &ResultFile, gaps: Gaps<'_>) -> Result<(), RunErro
 pub(super) enum Into<'a> {
     /// The whole, and what is missing of it.
     Whole(Gaps<'a>),
+    /// The same with rows that stay in the parts.
+    Virtual(Gaps<'a>),
     /// A part; whether it is finished.
     Part(&'a Manifest, bool),
 }
@@ -60,7 +62,11 @@ pub(super) fn assemble(
 
     let mut file = ResultFile::create(out)?;
     let mut groups = is_part.then(ShardGroups::default);
-    let counted = whole.write_rows(&mut file, &joined, groups.as_mut())?;
+    let numbers = Numbers::new(&whole.seams, &joined);
+    let counted = match into {
+        Into::Virtual(_) => whole.write_elsewhere(&mut file, &numbers)?,
+        _ => whole.write_rows(&mut file, &numbers, groups.as_mut())?,
+    };
     let (equal_cost, folds) = edges(&whole.seams, &joined, &whole.request.grids);
     let edges = Answers {
         equal_cost,
@@ -68,7 +74,10 @@ pub(super) fn assemble(
         ..Answers::default()
     };
     file.sheet_edges(&whole.schema, &edges)?;
-    let is_whole = matches!(into, Into::Whole(None) | Into::Part(_, true));
+    let is_whole = matches!(
+        into,
+        Into::Whole(None) | Into::Virtual(None) | Into::Part(_, true)
+    );
     let summary = whole.summary(&joined, counted, &edges, (!is_whole, out));
     file.attribute("summary", in_json(&summary))?;
     if !is_whole {
@@ -80,7 +89,7 @@ pub(super) fn assemble(
             file.shard(&whole.groups(groups))?;
             super::write_manifest(&file, manifest)?;
         }
-        Into::Whole(gaps) => {
+        Into::Whole(gaps) | Into::Virtual(gaps) => {
             note_gaps(&file, gaps)?;
             super::write_whole(&file, whole.manifest)?;
         }
@@ -102,7 +111,7 @@ pub(super) fn assemble(
 
 /// What all parts are of.
 pub(super) struct Whole<'s> {
-    sources: &'s [Source],
+    pub sources: &'s [Source],
     pub manifest: &'s Manifest,
     pub model: &'s Model,
     pub plan: Plan,
@@ -129,6 +138,40 @@ fn joined(
         true => Wanting::of(plan, model, request).in_no_time(),
     };
     Ok(join(plan, &mut solver, seams, &request.grids, wanting)?)
+}
+
+/// What numbers sheets of blocks have in the whole.
+pub(super) struct Numbers<'j> {
+    joined: &'j Joined,
+    /// Places of blocks among the seams.
+    seam_of: BTreeMap<i32, usize>,
+}
+
+impl<'j> Numbers<'j> {
+    fn new(seams: &[Seam], joined: &'j Joined) -> Self {
+        let blocks = seams.iter().enumerate();
+        Self {
+            joined,
+            seam_of: blocks.map(|(k, seam)| (seam.block as i32, k)).collect(),
+        }
+    }
+
+    /// Of a sheet of this block its number and that of its copies; `None` for a block that no part
+    /// has.
+    pub fn of_block(&self, block: i32) -> Option<impl Fn(i32) -> Option<(i32, i32)>> {
+        let seam = *self.seam_of.get(&block)?;
+        let number = move |of: &[Vec<i32>], sheet: i32| -> Option<i32> {
+            of[seam].get(usize::try_from(sheet).ok()?).copied()
+        };
+        let joined = self.joined;
+        Some(move |sheet: i32| match sheet {
+            -1 => Some((-1, -1)),
+            sheet => Some((
+                number(&joined.sheet, sheet)?,
+                number(&joined.lifted, sheet)?,
+            )),
+        })
+    }
 }
 
 impl<'s> Whole<'s> {
@@ -210,7 +253,7 @@ impl<'s> Whole<'s> {
     }
 
     /// How many rows of each file are held at once.
-    fn at_once(&self) -> usize {
+    pub fn at_once(&self) -> usize {
         (ROWS / self.sources.len()).clamp(LEAST_ROWS, MOST_ROWS)
     }
 
@@ -224,17 +267,26 @@ impl<'s> Whole<'s> {
     fn write_rows(
         &self,
         file: &mut ResultFile,
-        joined: &Joined,
-        mut part: Option<&mut ShardGroups>,
+        numbers: &Numbers<'_>,
+        part: Option<&mut ShardGroups>,
     ) -> Result<Counted, RunError> {
-        let mut streams = (self.sources.iter())
-            .map(|source| Stream::open(source, self.at_once()))
-            .collect::<Result<Vec<_>, _>>()?;
+        let mut streams = self.streams()?;
+        let mut sinks = Sinks::new(self, file, &streams, None, part.is_some())?;
+        let mut counted = Counted::default();
+        self.write_in_order((&mut sinks, &mut streams), numbers, 0, (&mut counted, part))?;
+        sinks.flush()?;
+        Ok(counted)
+    }
+
+    /// The same for the states from the `next`-th on that the streams have come to.
+    pub fn write_in_order(
+        &self,
+        (sinks, streams): (&mut Sinks, &mut [Stream]),
+        numbers: &Numbers<'_>,
+        mut next: usize,
+        (counted, mut part): (&mut Counted, Option<&mut ShardGroups>),
+    ) -> Result<(), RunError> {
         let rows = self.manifest.asked.rows;
-        let mut sinks = Sinks::new(self, file, &streams, part.is_some())?;
-        let seam_of: BTreeMap<i32, usize> = (self.seams.iter().enumerate())
-            .map(|(k, seam)| (seam.block as i32, k))
-            .collect();
         let damaged = |k: usize| self.sources[k].damaged("shard_points");
 
         let mut heap = BinaryHeap::new();
@@ -243,8 +295,6 @@ impl<'s> Whole<'s> {
                 heap.push(Reverse((index, k)));
             }
         }
-        let mut counted = Counted::default();
-        let mut next = 0usize;
         while let Some(Reverse((index, k))) = heap.pop() {
             // Each state has one number, and each part has them in order.
             let index = usize::try_from(index).map_err(|_| damaged(k))?;
@@ -252,23 +302,15 @@ impl<'s> Whole<'s> {
                 return Err(damaged(k));
             }
             if part.is_none() {
-                self.nothing(&mut sinks, &mut counted, next..index)?;
+                self.nothing(sinks, counted, next..index)?;
             }
             next = index + 1;
             let stream = &mut streams[k];
             let block = stream.block()?;
-            let seam = *seam_of.get(&block).ok_or_else(|| damaged(k))?;
-            let number = |of: &[Vec<i32>], sheet: i32| -> Option<i32> {
-                of[seam].get(usize::try_from(sheet).ok()?).copied()
-            };
-            let numbers = |sheet: i32| match sheet {
-                -1 => Some((-1, -1)),
-                sheet => Some((
-                    number(&joined.sheet, sheet)?,
-                    number(&joined.lifted, sheet)?,
-                )),
-            };
+            let of = numbers.of_block(block).ok_or_else(|| damaged(k))?;
+            let mut place = index;
             if let Some(part) = &mut part {
+                place = part.index.len();
                 part.index.push(index as i32);
                 part.block.push(block);
                 part.sheet.push(stream.place.whole(2)?);
@@ -278,9 +320,9 @@ impl<'s> Whole<'s> {
                 .row(
                     self,
                     stream,
-                    index,
-                    &numbers,
-                    (&mut counted, part.as_deref_mut()),
+                    (index, place),
+                    &of,
+                    (&mut *counted, part.as_deref_mut()),
                 )?
                 .ok_or_else(|| damaged(k))?;
             stream.advance();
@@ -289,17 +331,21 @@ impl<'s> Whole<'s> {
             }
         }
         if part.is_none() {
-            self.nothing(&mut sinks, &mut counted, next..rows)?;
+            self.nothing(sinks, counted, next..rows)?;
         }
-        sinks.flush()?;
-        Ok(counted)
+        Ok(())
+    }
+
+    /// Whether a block is taken from this part.
+    pub fn is_from(&self, block: i32, k: usize) -> bool {
+        self.from.get(&block) == Some(&k)
     }
 
     /// The number of a part's next state that is taken from it; `None` where there is none.
     fn next_of(&self, stream: &mut Stream, k: usize) -> Result<Option<i32>, RunError> {
         while let Some(index) = stream.index()? {
             let block = stream.block()?;
-            if self.from.get(&block) == Some(&k) {
+            if self.is_from(block, k) {
                 return Ok(Some(index));
             }
             stream.skip()?;
@@ -308,7 +354,7 @@ impl<'s> Whole<'s> {
     }
 
     /// States that no part has.
-    fn nothing(
+    pub fn nothing(
         &self,
         sinks: &mut Sinks,
         counted: &mut Counted,

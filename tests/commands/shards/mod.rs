@@ -2,6 +2,7 @@
 
 mod archive;
 mod copies;
+mod elsewhere;
 mod loops;
 mod resume;
 
@@ -115,7 +116,7 @@ pub fn same_results(a: &Path, b: &Path) {
 }
 
 /// Makes all shards of a command.
-fn shards(folder: &Path, arguments: &[&str], of: usize) -> Vec<String> {
+pub fn shards(folder: &Path, arguments: &[&str], of: usize) -> Vec<String> {
     (0..of)
         .map(|k| {
             let (name, shard) = (format!("p{k}.h5"), format!("{k}/{of}"));
@@ -126,7 +127,7 @@ fn shards(folder: &Path, arguments: &[&str], of: usize) -> Vec<String> {
         .collect()
 }
 
-fn merged(folder: &Path, parts: &[String], more: &[&str]) -> PathBuf {
+pub fn merged(folder: &Path, parts: &[String], more: &[&str]) -> PathBuf {
     let parts: Vec<&str> = parts.iter().map(String::as_str).collect();
     let own = ["--out", "all.h5"];
     done(folder, &[&["merge"], parts.as_slice(), &own, more].concat());
@@ -238,7 +239,7 @@ pub fn linear(name: &str) -> PathBuf {
     folder
 }
 
-const SOLVE: [&str; 6] = [
+pub const SOLVE: [&str; 6] = [
     "solve",
     "scene.toml",
     "--points",

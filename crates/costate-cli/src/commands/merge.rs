@@ -15,6 +15,7 @@ pub fn merge(args: &MergeArgs) -> Result<(), CliError> {
     let terminal = Terminal::new(args.print);
     let options = MergeOptions {
         partial: args.partial,
+        stay: args.stay,
     };
     let merged = put_together(&args.parts, &args.out, options, &provenance, &terminal)?;
     terminal.say(&text::merged::merged(&merged))?;

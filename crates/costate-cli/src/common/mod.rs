@@ -84,8 +84,19 @@ pub fn check_out(out: Option<&Path>, kinds: &[Kind], inputs: &[&Path]) -> Result
     Err(bad(all.join("; or ")))
 }
 
-/// Says so where the run that made a file was ended early.
+/// Says so where the run that made a file was ended early, or parts that it reads from are gone.
 pub fn note_ended_early(stored: &Stored, terminal: &Terminal) {
+    if let [first, ..] = stored.absent_parts() {
+        let (path, count) = (stored.path.display(), stored.absent_parts().len());
+        let of = if count == 1 {
+            "part that it reads from is"
+        } else {
+            "parts that it reads from are"
+        };
+        terminal.note(&format!(
+            "{path}: {count} {of} gone ({first}): nothing is known of the states there, and V is not interpolated between other solved states"
+        ));
+    }
     if let Some(how) = stored.ended_early() {
         let path = stored.path.display();
         terminal.note(&format!("{path}: its run was ended {how}"));

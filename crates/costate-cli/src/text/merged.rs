@@ -32,5 +32,8 @@ pub fn merged(merged: &Merged) -> String {
         merged.seconds,
         merged.path.display()
     );
+    if merged.stay {
+        text += "; the numbers of states stay in the parts, and are read from there";
+    }
     text
 }
