@@ -204,6 +204,10 @@ impl Evaluation {
         file: &mut ResultFile,
     ) -> Result<(), OutputError> {
         let kept = self.initial.kept();
+        // A part of the initial states may have none of them.
+        if kept.is_empty() {
+            return Ok(());
+        }
         let gather = |of: fn(&Path) -> &Vec<f64>| -> Vec<f64> {
             self.all(|l| l.paths.iter().flat_map(of).copied().collect())
         };

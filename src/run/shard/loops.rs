@@ -326,7 +326,6 @@ fn read(
         group(&schema::CLOSED_LOOP)?,
         group(&schema::CLOSED_LOOP_LAWS)?,
     );
-    let flights = group(&schema::CLOSED_LOOP_TRAJECTORIES)?;
     let (names, sources) = (of_laws.texts("law")?, of_laws.texts("source")?);
     let (laws, count, kept) = (names.len(), part.count(), part.kept());
     let (n, m, points) = (model.states.len(), model.controls.len(), asked.samples + 1);
@@ -350,9 +349,15 @@ fn read(
         .collect::<Result<Vec<_>, _>>()?;
     let of_law = |name: &str| of_laws.shaped(name, &[laws]);
     let (seconds, updates) = (of_law("seconds")?, of_law("updates")?);
+    let flights = match kept.is_empty() {
+        true => None,
+        false => Some(group(&schema::CLOSED_LOOP_TRAJECTORIES)?),
+    };
     let along = |name: &str, width: &[usize]| {
         let shape = [&[laws, kept.len(), points][..], width].concat();
-        flights.shaped(name, &shape)
+        flights
+            .as_ref()
+            .map_or(Ok(Vec::new()), |flights| flights.shaped(name, &shape))
     };
     let (t, x) = (along("t", &[])?, along("x", &[n])?);
     let u = if m > 0 { along("u", &[m])? } else { Vec::new() };

@@ -35,7 +35,7 @@ fn copies_have_one_number_across_blocks() {
     for (k, &point) in point.iter().enumerate() {
         let (state, copy) = (point as usize % COUNT, point as usize / COUNT);
         // Of each as if it had started in the middle one.
-        let turns = winding[k * states] + [0, -1, 1][copy];
+        let turns = winding[k * states] + [0, 1, -1][copy];
         of_state[state].push((turns, copy, value[k], lifted[k]));
     }
     let (mut pairs, mut differ) = (0, 0);
