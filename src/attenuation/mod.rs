@@ -98,62 +98,210 @@ pub fn smallest(
     choices: Choices,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Attenuated, SmallestError> {
-    let model = &scene.model;
-    let asked = model
-        .attenuation
-        .as_ref()
-        .expect("the scene has an [attenuation]");
-    let parameter = asked.parameter.clone();
-    progress(&format!("{parameter}* of the linearization"));
-    let linear = linear(scene, asked)?;
-    let own = model.parameter(&parameter).unwrap_or(f64::NAN);
-    let star = linear.star;
-    let bounded = linear.cause == Cause::None;
-    if let Some(value) =
-        (asked.levels.iter().copied()).find(|l| if bounded { *l < star } else { *l <= star })
-    {
-        return Err(SmallestError::LevelBelow {
-            parameter,
-            value,
-            star,
-        });
-    }
-    let grid = Grid::homotopy(&Homotopy {
-        axes: asked.axes.clone(),
-        span: asked.span.clone(),
-    });
-    let states = grid.points();
+    let levels = Levels::new(scene, backend, choices, progress)?;
     let mut done = 0;
-    let mut evaluate = |value: f64| {
-        let head = format!("{parameter} = {value:.6} ({} before it)", done);
-        done += 1;
+    levels.searched(&mut |value| levels.looked_at(value, &mut done, progress))
+}
+
+/// The levels of a scene's `[attenuation]`, and what is looked at for each.
+pub struct Levels<'a> {
+    scene: &'a Scene,
+    backend: &'a dyn Backend,
+    choices: Choices,
+    asked: &'a model::Attenuation,
+    own: f64,
+    linear: LinearAttenuation,
+    grid: Grid,
+    /// Those of the grid, `[state][component]`.
+    states: Vec<f64>,
+}
+
+impl<'a> Levels<'a> {
+    /// # Errors
+    /// [`SmallestError::Linear`], [`SmallestError::LevelBelow`].
+    ///
+    /// # Panics
+    /// Without an `[attenuation]`.
+    pub fn new(
+        scene: &'a Scene,
+        backend: &'a dyn Backend,
+        choices: Choices,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Self, SmallestError> {
+        let asked = (scene.model.attenuation.as_ref()).expect("the scene has an [attenuation]");
+        let parameter = &asked.parameter;
+        progress(&format!("{parameter}* of the linearization"));
+        let linear = linear(scene, asked)?;
+        let (star, bounded) = (linear.star, linear.cause == Cause::None);
+        let is_below = |l: &f64| if bounded { *l < star } else { *l <= star };
+        if let Some(value) = asked.levels.iter().copied().find(is_below) {
+            return Err(SmallestError::LevelBelow {
+                parameter: parameter.clone(),
+                value,
+                star,
+            });
+        }
+        let grid = Grid::homotopy(&Homotopy {
+            axes: asked.axes.clone(),
+            span: asked.span.clone(),
+        });
+        Ok(Self {
+            own: scene.model.parameter(parameter).unwrap_or(f64::NAN),
+            states: grid.points(),
+            scene,
+            backend,
+            choices,
+            asked,
+            linear,
+            grid,
+        })
+    }
+
+    /// Searches with what is known of each level.
+    ///
+    /// # Errors
+    /// Those of `evaluate`.
+    pub fn searched<E>(
+        &self,
+        evaluate: &mut dyn FnMut(f64) -> Result<Outcome, E>,
+    ) -> Result<Attenuated, E> {
+        let sought = Sought {
+            star: self.linear.star,
+            allowed: self.linear.cause == Cause::None,
+            own: self.own,
+            top: self.asked.range.map(|r| r[1]),
+            tolerance: self.asked.tolerance,
+        };
+        let (search, levels) = search(&sought, &self.asked.levels, evaluate)?;
+        Ok(self.attenuated(search, levels))
+    }
+
+    fn attenuated(&self, search: Search, levels: Vec<f64>) -> Attenuated {
+        Attenuated {
+            parameter: self.asked.parameter.clone(),
+            own: self.own,
+            linear: self.linear.clone(),
+            grid: self.grid.clone(),
+            search,
+            levels,
+        }
+    }
+
+    /// Solves for the states at a level, before which so many were.
+    ///
+    /// # Errors
+    /// [`SmallestError`].
+    pub fn looked_at(
+        &self,
+        value: f64,
+        done: &mut usize,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Outcome, SmallestError> {
+        let parameter = &self.asked.parameter;
+        let head = format!("{parameter} = {value:.6} ({done} before it)");
+        *done += 1;
         progress(&head);
         let mut told = |what: &str, of: usize, all: usize| {
             progress(&format!("{head}: {of} of {all} states, {what}"))
         };
         let found = outcome(
-            scene, &parameter, value, &states, backend, choices, &mut told,
+            self.scene,
+            parameter,
+            value,
+            &self.states,
+            self.backend,
+            self.choices,
+            &mut told,
         )?;
         // What is cut short shows nothing of a level.
-        choices.deadline.check()?;
-        Ok::<_, SmallestError>(found)
-    };
-    let sought = Sought {
-        star,
-        allowed: bounded,
-        own,
-        top: asked.range.map(|r| r[1]),
-        tolerance: asked.tolerance,
-    };
-    let (search, levels) = search(&sought, &asked.levels, &mut evaluate)?;
-    Ok(Attenuated {
-        parameter,
-        own,
-        linear,
-        grid,
-        search,
-        levels,
-    })
+        self.choices.deadline.check()?;
+        Ok(found)
+    }
+
+    /// Into how many units the work is divided: the search, and each level that is asked for.
+    pub fn units(&self) -> usize {
+        1 + self.asked.levels.len()
+    }
+
+    /// How many states are looked at for a level.
+    pub fn states(&self) -> usize {
+        self.states.len() / self.scene.model.states.len()
+    }
+
+    /// The rows of a unit. The search goes by what other levels tell of those that are asked for,
+    /// which are units of their own: larger levels are easier. Where they tell nothing it looks
+    /// itself.
+    ///
+    /// # Errors
+    /// [`SmallestError`].
+    pub fn unit(
+        &self,
+        unit: usize,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Vec<Row>, SmallestError> {
+        let mut done = 0;
+        if let Some(level) = unit.checked_sub(1).and_then(|k| self.asked.levels.get(k)) {
+            let outcome = self.looked_at(*level, &mut done, progress)?;
+            return Ok(vec![Row {
+                value: *level,
+                outcome,
+            }]);
+        }
+        let mut rows: Vec<Row> = Vec::new();
+        self.searched(&mut |value| {
+            if self.asked.levels.contains(&value)
+                && let Some(covers) = foretold(&rows, value)
+            {
+                return Ok(self.synthetic(covers));
+            }
+            let outcome = self.looked_at(value, &mut done, progress)?;
+            rows.push(Row {
+                value,
+                outcome: outcome.clone(),
+            });
+            Ok::<_, SmallestError>(outcome)
+        })?;
+        rows.sort_by(|a, b| a.value.total_cmp(&b.value));
+        Ok(rows)
+    }
+
+    /// Of a level of which nothing is known but whether it covers.
+    fn synthetic(&self, covers: bool) -> Outcome {
+        let count = self.states();
+        let status = match covers {
+            true => PointStatus::Converged,
+            false => PointStatus::NoGuess,
+        };
+        Outcome {
+            status: vec![status; count],
+            v: vec![f64::NAN; count],
+            folds: Vec::new(),
+            failure: None,
+        }
+    }
+
+    /// Some rows, by rising value, without what follows from all of them.
+    pub fn part(&self, rows: Vec<Row>) -> Attenuated {
+        let levels = rows.iter().map(|row| row.value).collect();
+        let search = Search {
+            covering: Covering::Never {
+                top: f64::NAN,
+                coverage: f64::NAN,
+            },
+            monotone: false,
+            rows,
+        };
+        self.attenuated(search, levels)
+    }
+}
+
+/// Whether a level covers, as far as others tell.
+fn foretold(rows: &[Row], value: f64) -> Option<bool> {
+    if rows.iter().any(|row| !row.covers() && row.value >= value) {
+        return Some(false);
+    }
+    let is_easier = |row: &Row| row.covers() && row.value <= value;
+    rows.iter().any(is_easier).then_some(true)
 }
 
 /// The states solved for at one level.

@@ -36,8 +36,8 @@ pub use laws::{LawsDone, check as check_laws};
 pub use parts::write_attenuation;
 use parts::write_study;
 pub use shard::{
-    Asked, Kind, Loops, LoopsDone, Manifest, MergeError, MergeOptions, Merged, StudyDone, listed,
-    merge, study,
+    Asked, Kind, LevelsDone, Loops, LoopsDone, Manifest, MergeError, MergeOptions, Merged,
+    StudyDone, levels, listed, merge, study,
 };
 pub use sources::{archive, fitted_laws, other_scene, sources, weights};
 

@@ -32,7 +32,7 @@ pub use shard::{Shard, ShardError};
 pub use simulation::{ControlledBy, Cycles, Simulated, SimulationOptions, end_name, some_states};
 pub use wanted::{GivenSweep, Kept, Listed, Resume, States, Wanted};
 
-use crate::attenuation::{self, Attenuated};
+use crate::attenuation::{self, Attenuated, Levels, Row};
 use crate::backend::cpu::Cpu;
 use crate::backend::cpu::in_pool;
 use crate::backend::{Backend, BackendError, Deadline};
@@ -426,6 +426,29 @@ impl<'s> Session<'s> {
         drop(step);
         self.progress.finished(Finished::Attenuation(&found));
         Ok(found)
+    }
+
+    /// The levels that the scene's `[attenuation]` asks for, to be looked at one by one.
+    ///
+    /// # Errors
+    /// As [`attenuation`](Self::attenuation).
+    pub fn levels(&self) -> Result<Levels<'_>, SessionError> {
+        if self.scene.model.attenuation.is_none() {
+            return Err(SessionError::NoAttenuation);
+        }
+        let backend = self.backend.as_ref();
+        Ok(Levels::new(self.scene, backend, self.choices, &mut |_| {})?)
+    }
+
+    /// Does a unit of them.
+    pub(crate) fn level_rows(
+        &self,
+        levels: &Levels<'_>,
+        unit: usize,
+    ) -> Result<Vec<Row>, SessionError> {
+        let step = self.step();
+        let mut shown = |what: &str| step.say(&format!("attenuation: {what}"));
+        Ok(in_pool(|| levels.unit(unit, &mut shown))?)
     }
 
     /// The plan of a sweep. An error of the local solution has its place in the scene.

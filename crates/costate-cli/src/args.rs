@@ -37,7 +37,7 @@ pub enum Command {
     Study(DividedArgs),
     /// Only [attenuation]: the smallest level of attenuation, of the linearization and of a region,
     /// with pictures.
-    Attenuation(RunArgs),
+    Attenuation(DividedArgs),
     /// Simulate feedback laws from many initial states, as [closed_loop] asks, and put what came of
     /// it into the result file.
     Evaluate(EvaluateArgs),

@@ -97,6 +97,8 @@ pub enum Kind {
     Study,
     /// Initial states of closed loops.
     ClosedLoop,
+    /// Levels of attenuation.
+    Attenuation,
 }
 
 impl Kind {
@@ -105,6 +107,7 @@ impl Kind {
             Self::States => "states that are solved for",
             Self::Study => "variants of a study",
             Self::ClosedLoop => "closed loops",
+            Self::Attenuation => "levels of attenuation",
         }
     }
 }
@@ -183,26 +186,26 @@ impl Manifest {
         }
     }
 
-    /// Of a part of the scene's study, of so many variants.
-    pub(in crate::run) fn of_study(
+    /// Of a part of what a scene asks for, of so many units.
+    pub(in crate::run) fn of_units(
+        of: Kind,
         session: &Session<'_>,
-        shard: Option<Shard>,
-        variants: usize,
+        (shard, units): (Option<Shard>, usize),
         provenance: &Provenance,
     ) -> Self {
         let (model, choices) = (&session.scene().model, &session.choices);
         let precision = choices.precision.or(model.integrator.precision);
         let method = choices.method.or(model.integrator.method);
         Self {
-            of: Kind::Study,
+            of,
             shard: shard.map_or(0, Shard::number),
             shards: shard.map_or(1, Shard::of),
-            units: variants,
+            units,
             version: env!("CARGO_PKG_VERSION").to_owned(),
             revision: provenance.git_revision.clone(),
             scene: of_scene(model),
             asked: Asked {
-                rows: variants,
+                rows: units,
                 ..Asked::default()
             },
             backend: session.backend().name().to_owned(),

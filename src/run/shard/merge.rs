@@ -1,11 +1,11 @@
 //! Parts put together: what is asked, and what is refused.
 
 use super::super::{Provenance, RunError};
-use super::loops;
 use super::manifest::Kind;
 use super::source::Source;
 use super::study;
 use super::whole::{Into, assemble, note_gaps};
+use super::{levels, loops};
 use crate::backend::cpu::Cpu;
 use crate::files::allow_open;
 use crate::session::summary::RunSummary;
@@ -105,10 +105,14 @@ pub enum MergeError {
         path = path.display()
     )]
     OtherShard { path: PathBuf, shard: usize },
+    #[error(
+        "some of the levels of attenuation show nothing of the smallest one: --partial cannot put them together"
+    )]
+    Gaps,
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
     #[error(
-        "{path} is a part of a study or of closed loops, and --virtual is for states: leave it out; such parts are small",
+        "{path} is a part of a study, of closed loops or of levels, and --virtual is for states: leave it out; such parts are small",
         path = path.display()
     )]
     VirtualSmall { path: PathBuf },
@@ -167,7 +171,7 @@ pub fn merge(
             };
             assemble(&session, &sources, into, out, provenance)?
         }
-        Kind::Study | Kind::ClosedLoop if options.stay => {
+        Kind::Study | Kind::ClosedLoop | Kind::Attenuation if options.stay => {
             let path = first.path();
             return Err(MergeError::VirtualSmall { path }.into());
         }
@@ -178,6 +182,8 @@ pub fn merge(
             super::write_whole(&file, &first.manifest)?;
             (session.finish(file, provenance)?, summary)
         }
+        Kind::Attenuation if gaps.is_some() => return Err(MergeError::Gaps.into()),
+        Kind::Attenuation => levels::assemble(&session, &sources, out, provenance)?,
         Kind::ClosedLoop => loops::assemble(&session, &sources, (gaps, out), provenance)?,
     };
     Ok(Merged {

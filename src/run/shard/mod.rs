@@ -2,6 +2,7 @@
 
 mod before;
 mod elsewhere;
+mod levels;
 mod loops;
 mod manifest;
 mod merge;
@@ -12,6 +13,7 @@ mod stream;
 mod study;
 mod whole;
 
+pub use levels::{LevelsDone, levels};
 pub use loops::LoopsDone;
 pub(super) use loops::{Divided, loops};
 pub(super) use manifest::hash_of;

@@ -2,7 +2,7 @@
 
 use super::super::{Provenance, RunError, write_study};
 use super::before::{Before, note_kept};
-use super::manifest::Manifest;
+use super::manifest::{Kind, Manifest};
 use super::merge::MergeError;
 use super::source::Source;
 use super::{write_manifest, write_whole};
@@ -48,7 +48,7 @@ pub fn study(
     let count = combinations(asked).len();
     let path = target(path)?;
     drop(Draft::begin(&path)?);
-    let manifest = Manifest::of_study(session, shard, count, provenance);
+    let manifest = Manifest::of_units(Kind::Study, session, (shard, count), provenance);
     let mut before = Before::at(&path, &manifest, resume)?;
     if let Some(stored) = &before.finished {
         before.note_finished(session);

@@ -3,6 +3,7 @@
 mod archive;
 mod copies;
 mod elsewhere;
+mod levels;
 mod loops;
 mod resume;
 
