@@ -13,20 +13,31 @@ fn shards_of_levels_are_the_whole() {
     let at = text.find("[attenuation]").expect("it has the section");
     let section = "[attenuation]\nparameter = \"gamma\"\ntolerance = 0.02\nlevels = [1.3, 1.6, 2.0, 3.0]\n\
                    states = { x = [-1, 1, 5], v = [-1, 1, 5] }\n";
-    std::fs::write(folder.join("scene.toml"), format!("{}{section}", &text[..at])).unwrap();
+    std::fs::write(
+        folder.join("scene.toml"),
+        format!("{}{section}", &text[..at]),
+    )
+    .unwrap();
     let attenuation = ["attenuation", "scene.toml", "--backend", "cpu"];
-    done(&folder, &[&attenuation[..], &["--out", "whole.h5", "--quiet"]].concat());
+    done(
+        &folder,
+        &[&attenuation[..], &["--out", "whole.h5", "--quiet"]].concat(),
+    );
     let parts = shards(&folder, &attenuation, 3);
     let all = merged(&folder, &parts, &[]);
     same_results(&folder.join("whole.h5"), &all);
 
-    // Nobody has done it twice.
+    // Levels are not looked at twice, but for where the search begins: at the scene's own.
     let looked_at = |name: &str| {
         let stored = Stored::open(folder.join(name)).unwrap();
         (stored.group("attenuation")).map_or(0, |g| g.f64("value").unwrap().values.len())
     };
     let in_parts: usize = parts.iter().map(|part| looked_at(part)).sum();
-    assert_eq!(in_parts, looked_at("whole.h5"));
+    let in_one = looked_at("whole.h5");
+    assert!(
+        (in_one..=in_one + 1).contains(&in_parts),
+        "{in_parts} {in_one}"
+    );
 
     let some = ["merge", &parts[0], &parts[1], "--out", "some.h5"];
     let errors = refused(&folder, &some, "some.h5");
