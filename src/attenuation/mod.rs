@@ -180,7 +180,7 @@ impl<'a> Levels<'a> {
         Attenuated {
             parameter: self.asked.parameter.clone(),
             own: self.own,
-            linear: self.linear.clone(),
+            linear: self.linear,
             grid: self.grid.clone(),
             search,
             levels,
