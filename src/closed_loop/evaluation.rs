@@ -1,6 +1,7 @@
 //! What came of a simulation: costs against V, shares, operating sets.
 
 use super::Path;
+use super::gathered::NOT_MERGED;
 use super::sets::{Line, area, contour};
 use super::{Initial, Setting};
 use crate::backend::{Backend, Status};
@@ -139,12 +140,16 @@ impl Evaluation {
                 }
             })
             .collect();
-        let share =
-            levels.iter().filter(|l| **l >= 0.0).count() as f64 / levels.len().max(1) as f64;
+        let there = law.there();
+        let share = levels.iter().filter(|l| **l >= 0.0).count() as f64 / there.max(1) as f64;
         match self.initial.axes.as_slice() {
             [(_, a), (_, b)] => SetResult {
                 share,
-                area: area([a, b], &levels),
+                // Of a set that is known in part.
+                area: match there == levels.len() {
+                    true => area([a, b], &levels),
+                    false => f64::NAN,
+                },
                 lines: contour([a, b], &levels),
             },
             _ => SetResult {
@@ -225,9 +230,14 @@ impl Evaluation {
 }
 
 impl LawResult {
-    /// Of the initial states.
+    /// Initial states that were simulated: of a whole of some parts not all.
+    pub fn there(&self) -> usize {
+        self.status.iter().filter(|s| **s != NOT_MERGED).count()
+    }
+
+    /// Of the initial states that were simulated.
     pub fn share_converged(&self) -> f64 {
-        self.converged.iter().filter(|c| **c).count() as f64 / self.converged.len().max(1) as f64
+        self.converged.iter().filter(|c| **c).count() as f64 / self.there().max(1) as f64
     }
 
     /// Of every trajectory the updates without an answer of the chart; 0 of a law without one.
@@ -245,6 +255,6 @@ impl LawResult {
 
     /// Initial states a second.
     pub fn rate(&self) -> f64 {
-        self.status.len() as f64 / self.seconds
+        self.there() as f64 / self.seconds
     }
 }

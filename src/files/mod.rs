@@ -14,7 +14,7 @@ pub use temporary::{heed_input, removed_at_signals, stop_at_signals};
 
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::io::{self, ErrorKind, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -27,6 +27,14 @@ static TEMPORARIES: AtomicU64 = AtomicU64::new(0);
 pub struct Draft {
     path: PathBuf,
     temporary: Temporary,
+}
+
+/// Those who may have put a file of theirs under a name that was free.
+pub struct Others {
+    /// Where one's own goes then.
+    pub beside: PathBuf,
+    /// Whether a file is theirs.
+    pub are_there: Box<dyn Fn(&Path) -> bool + Send>,
 }
 
 impl Draft {
@@ -62,6 +70,30 @@ impl Draft {
     /// The hidden name it has now.
     pub fn hidden(&self) -> &Path {
         self.temporary.path()
+    }
+
+    /// As [`publish`](Self::publish), but in place of what others have put there meanwhile nothing
+    /// comes: the file is then beside it.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    pub fn publish_beside(mut self, others: &Others) -> Result<PathBuf, FileError> {
+        loop {
+            match self.temporary.link(&self.path) {
+                Ok(()) => {
+                    let _ = sync_directory(directory_of(&self.path));
+                    return Ok(self.path.clone());
+                }
+                Err(error)
+                    if error.kind() == ErrorKind::AlreadyExists
+                        && self.path != others.beside
+                        && (others.are_there)(&self.path) =>
+                {
+                    self.path.clone_from(&others.beside);
+                }
+                Err(_) => return self.publish(),
+            }
+        }
     }
 
     /// Gives the complete file its final name, replacing what was there; returns that name.

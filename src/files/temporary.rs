@@ -84,6 +84,14 @@ impl Temporary {
     pub fn publish(self, to: &Path) -> io::Result<()> {
         std::fs::rename(self.path(), to)
     }
+
+    /// Gives the file another name too, if no file has that: nobody else comes between.
+    ///
+    /// # Errors
+    /// Of the kind `AlreadyExists` where one has; others where the file system has no second names.
+    pub fn link(&self, to: &Path) -> io::Result<()> {
+        std::fs::hard_link(self.path(), to)
+    }
 }
 
 impl Drop for Temporary {

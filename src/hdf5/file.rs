@@ -3,7 +3,7 @@
 use super::attribute::AttributeOwner;
 use super::error::io_cause;
 use super::{AttributeValue, Group, GroupWriter, OutputError};
-use crate::files::{Behind, Draft, FileError};
+use crate::files::{Behind, Draft, FileError, Others};
 use rust_hdf5::{H5File, Hdf5Error};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,6 +18,7 @@ pub struct ResultFile {
     // Closed before the name is removed: some systems do not remove open files.
     file: Open,
     draft: Draft,
+    others: Option<Others>,
     groups: Vec<String>,
 }
 
@@ -48,6 +49,7 @@ impl ResultFile {
         Ok(Self {
             file: Open(Some(file)),
             draft,
+            others: None,
             groups: Vec::new(),
         })
     }
@@ -141,7 +143,15 @@ impl ResultFile {
         {
             return Err(self.error("the end", error));
         }
-        Ok(self.draft.publish()?)
+        Ok(match &self.others {
+            Some(others) => self.draft.publish_beside(others)?,
+            None => self.draft.publish()?,
+        })
+    }
+
+    /// What others have put under its name by the time that it is finished stays.
+    pub fn beside(&mut self, others: Others) {
+        self.others = Some(others);
     }
 
     fn open_file(&self) -> Result<&H5File, OutputError> {

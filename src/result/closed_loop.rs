@@ -3,7 +3,7 @@
 use super::TrajectorySchema;
 use super::names::{common, product};
 use super::table::{NO_AXES, Table};
-use crate::closed_loop::{Evaluation, LawResult, Path, SetResult, Spread};
+use crate::closed_loop::{Evaluation, LawResult, NOT_MERGED, Path, SetResult, Spread};
 use crate::hdf5::{OutputError, ResultFile};
 use crate::model::Model;
 use crate::schema;
@@ -100,7 +100,12 @@ impl Evaluation {
         let column = |of: &dyn Fn(&LawResult) -> f64| self.laws.iter().map(of).collect::<Vec<_>>();
         let spread =
             |of: fn(&Spread) -> f64| column(&|l| self.spread(l).as_ref().map_or(f64::NAN, of));
-        let failed = |l: &LawResult| l.status.iter().filter(|s| **s != 0).count() as f64;
+        let failed = |l: &LawResult| {
+            l.status
+                .iter()
+                .filter(|s| ![0, NOT_MERGED].contains(s))
+                .count() as f64
+        };
         table
             .attribute("backend", self.backend.as_str())
             .attribute("adapter", self.adapter.as_str())

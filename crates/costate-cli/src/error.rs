@@ -214,7 +214,7 @@ pub enum ShardRefusal {
         min: usize,
         step: usize,
     },
-    #[error("a part of closed loops has a file of its own: name it (--out FILE.h5)")]
+    #[error("--resume: what is gone on with has a file of its own: name it (--out FILE.h5)")]
     NoOut,
     #[error("--time-limit is for parts that are gone on with: give --shard M/N, or --resume, too")]
     NoLimit,

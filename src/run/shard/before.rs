@@ -4,6 +4,8 @@ use super::super::{RunError, beside, note_replaced, of_shard, path_of_stopped, s
 use super::manifest::Manifest;
 use super::merge::MergeError;
 use super::source::Source;
+use crate::files::Others;
+use crate::hdf5::ResultFile;
 use crate::result::Stored;
 use crate::session::{Resume, Session};
 use std::path::{Path, PathBuf};
@@ -124,6 +126,17 @@ impl Before {
             }
         }
     }
+}
+
+/// A part's file, which does not come in place of another shard's that is there once it is finished.
+pub(super) fn create_part(to: &Path, manifest: &Manifest) -> Result<ResultFile, RunError> {
+    let mut file = ResultFile::create(to)?;
+    let own = manifest.clone();
+    file.beside(Others {
+        beside: beside(to, &of_shard(manifest.shard, manifest.shards)),
+        are_there: Box::new(move |path| other_shard(path, &own).is_some()),
+    });
+    Ok(file)
 }
 
 /// Which shard's result is at a path, if it is that of another shard of the same whole.

@@ -1,7 +1,7 @@
 //! Parts of `[attenuation]`: the search, and levels that are asked for.
 
 use super::super::{Provenance, RunError, write_attenuation};
-use super::before::{Before, note_kept};
+use super::before::{Before, create_part, note_kept};
 use super::manifest::{Kind, Manifest};
 use super::source::Source;
 use super::{write_manifest, write_whole};
@@ -140,7 +140,7 @@ impl Part<'_> {
         done: &[usize],
         (to, stopped): (&Path, bool),
     ) -> Result<PathBuf, RunError> {
-        let mut file = ResultFile::create(to)?;
+        let mut file = create_part(to, self.manifest)?;
         if !rows.is_empty() {
             let row = |(value, outcome): (&u64, &Outcome)| Row {
                 value: f64::from_bits(*value),
@@ -190,7 +190,7 @@ fn whole(session: &Session<'_>, all: &Levels<'_>, rows: &Rows) -> Result<Attenua
 /// Puts parts of levels together.
 ///
 /// # Errors
-/// Of reading and writing; [`super::MergeError::Gaps`] where some are missing.
+/// Of reading and writing.
 pub(super) fn assemble(
     session: &Session<'_>,
     sources: &[Source],

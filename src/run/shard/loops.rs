@@ -1,7 +1,7 @@
 //! Parts of closed loops: some of the initial states of `[closed_loop]`.
 
 use super::super::{Provenance, RunError};
-use super::before::{Before, note_kept};
+use super::before::{Before, create_part, note_kept};
 use super::manifest::{Loops as Asked, Manifest};
 use super::source::Source;
 use super::whole::{Gaps, note_gaps};
@@ -161,7 +161,7 @@ impl Part<'_> {
         done: &[usize],
         (to, stopped): (&Path, bool),
     ) -> Result<(PathBuf, Option<Evaluation>), RunError> {
-        let mut file = ResultFile::create(to)?;
+        let mut file = create_part(to, self.manifest)?;
         let numbers = gathered.numbers();
         let evaluation = (!numbers.is_empty()).then(|| self.loops.evaluated_in_part(gathered));
         if let Some(evaluation) = &evaluation {

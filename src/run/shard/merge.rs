@@ -106,9 +106,15 @@ pub enum MergeError {
     )]
     OtherShard { path: PathBuf, shard: usize },
     #[error(
-        "some of the levels of attenuation show nothing of the smallest one: --partial cannot put them together"
+        "some of the levels of attenuation show nothing of the smallest one, so --partial cannot put them together: run {} to the end first (missing: {}; not finished: {})",
+        if missing.len() + unfinished.len() == 1 { "this shard" } else { "these shards" },
+        if missing.is_empty() { "none".to_owned() } else { listed(missing) },
+        if unfinished.is_empty() { "none".to_owned() } else { listed(unfinished) }
     )]
-    Gaps,
+    Gaps {
+        missing: Vec<usize>,
+        unfinished: Vec<usize>,
+    },
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
     #[error(
@@ -182,7 +188,13 @@ pub fn merge(
             super::write_whole(&file, &first.manifest)?;
             (session.finish(file, provenance)?, summary)
         }
-        Kind::Attenuation if gaps.is_some() => return Err(MergeError::Gaps.into()),
+        Kind::Attenuation if gaps.is_some() => {
+            return Err(MergeError::Gaps {
+                missing,
+                unfinished,
+            }
+            .into());
+        }
         Kind::Attenuation => levels::assemble(&session, &sources, out, provenance)?,
         Kind::ClosedLoop => loops::assemble(&session, &sources, (gaps, out), provenance)?,
     };

@@ -4,7 +4,7 @@ use super::super::{
     Done, LawsDone, Provenance, RunError, in_json, trajectory_schema, write_estimates,
     write_outcome, write_sampled,
 };
-use super::before::{Before, note_kept};
+use super::before::{Before, create_part, note_kept};
 use super::manifest::Manifest;
 use super::source::Source;
 use super::whole::{Into, assemble};
@@ -172,7 +172,7 @@ impl Work<'_> {
         more: More<'_>,
     ) -> Result<(PathBuf, RunSummary), RunError> {
         if before.is_empty() {
-            let file = ResultFile::create(to)?;
+            let file = create_part(to, &self.manifest)?;
             return self.write_states(file, states, stopped, more);
         }
         let draft = Draft::begin(to)?;

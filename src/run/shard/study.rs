@@ -1,7 +1,7 @@
 //! Parts of a study: variants of it.
 
 use super::super::{Provenance, RunError, write_study};
-use super::before::{Before, note_kept};
+use super::before::{Before, create_part, note_kept};
 use super::manifest::{Kind, Manifest};
 use super::merge::MergeError;
 use super::source::Source;
@@ -121,7 +121,7 @@ struct Part<'p> {
 
 impl Part<'_> {
     fn write(&self, variants: &Variants, to: &Path, stopped: bool) -> Result<PathBuf, RunError> {
-        let mut file = ResultFile::create(to)?;
+        let mut file = create_part(to, self.manifest)?;
         let rows: Vec<Variant> = variants.values().cloned().collect();
         write_study(self.session, &mut file, (&rows, stopped), self.provenance)?;
         file.shard(&ShardGroups {

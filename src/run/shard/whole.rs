@@ -1,6 +1,7 @@
 //! The whole, or a larger part, of some parts.
 
 use super::super::{Provenance, RunError, in_json};
+use super::before::create_part;
 use super::manifest::Manifest;
 use super::merge::listed;
 use super::source::Source;
@@ -60,7 +61,10 @@ pub(super) fn assemble(
     let joined = in_pool(|| joined((plan, model), request, seams, is_part))?;
     progress.step_ended();
 
-    let mut file = ResultFile::create(out)?;
+    let mut file = match into {
+        Into::Part(manifest, _) => create_part(out, manifest)?,
+        Into::Whole(_) | Into::Virtual(_) => ResultFile::create(out)?,
+    };
     let mut groups = is_part.then(ShardGroups::default);
     let numbers = Numbers::new(&whole.seams, &joined);
     let counted = match into {
@@ -80,6 +84,7 @@ pub(super) fn assemble(
     );
     let summary = whole.summary(&joined, counted, &edges, (!is_whole, out));
     file.attribute("summary", in_json(&summary))?;
+    write_errors(&file, &summary)?;
     if !is_whole {
         file.attribute("stopped", 1i64)?;
     }
@@ -421,6 +426,35 @@ impl<'s> Whole<'s> {
             ..first
         }
     }
+}
+
+/// The errors in a summary, by the root attributes that they have in results.
+fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
+    let errors = summary
+        .homotopy
+        .as_ref()
+        .and_then(|h| h.error_estimate.as_ref());
+    let Some(errors) = errors else {
+        return Ok(());
+    };
+    for (name, of) in [
+        ("V", &errors.value),
+        ("p", &errors.costate),
+        ("u", &errors.control),
+    ] {
+        let Some(of) = of else { continue };
+        for (ending, number) in [("", of.max), ("_p99", of.p99), ("_median", of.median)] {
+            if let Some(number) = number {
+                file.attribute(&format!("solved_error_estimate_{name}{ending}"), number)?;
+            }
+        }
+    }
+    file.attribute("solved_error_estimate_states", errors.states as i64)?;
+    file.attribute("solved_error_asked", errors.asked)?;
+    if let Some(met) = summary.error_met {
+        file.attribute("error_met", i64::from(met))?;
+    }
+    Ok(())
 }
 
 /// The largest of the errors that parts have estimated: of medians, too.

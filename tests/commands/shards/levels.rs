@@ -43,7 +43,10 @@ fn shards_of_levels_are_the_whole() {
     let errors = refused(&folder, &some, "some.h5");
     assert!(errors.contains("missing: 2"), "{errors}");
     let errors = refused(&folder, &[&some[..], &["--partial"]].concat(), "some.h5");
-    assert!(errors.contains("--partial cannot"), "{errors}");
+    assert!(
+        errors.contains("--partial cannot") && errors.contains("missing: 2"),
+        "{errors}"
+    );
 
     // What had no time is gone on with, as one.
     let own = [&attenuation[..], &["--out", "b.h5", "--quiet", "--resume"]].concat();

@@ -161,6 +161,24 @@ fn gaps_and_strangers_are_told() {
     let gone = status.iter().filter(|s| **s == 9).count();
     assert_eq!(gone, 21);
     assert!(status.iter().zip(&cost).all(|(s, j)| *s != 9 || j.is_nan()));
+    // Shares are of what is there.
+    let laws = stored.group("closed_loop_laws").unwrap();
+    let (share, failed) = (
+        laws.f64("share_converged").unwrap(),
+        laws.f64("failed").unwrap(),
+    );
+    let converged = group
+        .i32("converged")
+        .unwrap()
+        .1
+        .iter()
+        .filter(|c| **c == 1)
+        .count();
+    assert_eq!(share.values, [converged as f64 / 42.0]);
+    let ended = status.iter().filter(|s| ![0, 9].contains(*s)).count();
+    assert_eq!(failed.values, [ended as f64]);
+    let sets = stored.group("operating_sets").unwrap();
+    assert!(sets.f64("area").unwrap().values.iter().all(|a| a.is_nan()));
     let names = group.attribute(Some("status"), "flag_meanings").unwrap();
     assert!(names.contains("not_merged"), "{names}");
 
@@ -187,11 +205,11 @@ fn gaps_and_strangers_are_told() {
     refused(&folder, &[&EVALUATE[..], &other].concat(), "none");
 
     // A part has a file of its own: that of the map stays as it is.
-    let errors = refused(
-        &folder,
-        &[&EVALUATE[..], &["--shard", "0/3"]].concat(),
-        "none",
-    );
+    let map = std::fs::read(folder.join("map.h5")).unwrap();
+    done(&folder, &[&EVALUATE[..], &["--shard", "0/3"]].concat());
+    assert!(folder.join("out/scene_closed_loop_0_of_3.h5").exists());
+    assert!(std::fs::read(folder.join("map.h5")).unwrap() == map);
+    let errors = refused(&folder, &[&EVALUATE[..], &["--resume"]].concat(), "none");
     assert!(errors.contains("--out"), "{errors}");
     let listed = entries(&folder);
     assert!(

@@ -1,7 +1,9 @@
 //! What `--resume` goes on with, and what it leaves as it is.
 
-use super::{LINEAR, done, entries, points, refused, run, same_results};
+use super::{LINEAR, command, done, entries, points, refused, run, same_results};
 use crate::common_commands::scratch;
+use costate::low_level::result::Stored;
+use std::process::Stdio;
 
 /// A finished result is left as it is, whole or part; what is of other work is refused, and stays.
 #[test]
@@ -121,10 +123,58 @@ fn a_merged_whole_is_known() {
         &["merge", "p0.h5", "p1.h5", "--out", "merged.h5", "--quiet"],
     );
     same_results(&folder.join("merged.h5"), &folder.join("all.h5"));
+    let stored = Stored::open(folder.join("merged.h5")).unwrap();
+    for name in ["V", "p_p99", "u_median", "states"] {
+        assert!(stored.has_attribute(&format!("solved_error_estimate_{name}")));
+    }
+    assert_eq!(stored.attribute("error_met").as_deref(), Some("1"));
     let merged = std::fs::read(folder.join("merged.h5")).unwrap();
     done(
         &folder,
         &[&solve[..], &["--resume", "--out", "merged.h5"]].concat(),
     );
     assert_eq!(std::fs::read(folder.join("merged.h5")).unwrap(), merged);
+}
+
+/// Shards that end together under one name lose nothing: each has a file.
+#[test]
+fn shards_that_end_together_lose_nothing() {
+    let folder = scratch("resume-together");
+    std::fs::write(folder.join("scene.toml"), LINEAR).unwrap();
+    points(&folder.join("a.csv"), ["x", "v"], [[-1.0, 1.0]; 2], 5);
+    let solve = [
+        "solve",
+        "scene.toml",
+        "--points",
+        "a.csv",
+        "--backend",
+        "cpu",
+        "--quiet",
+    ];
+    for round in 0..4 {
+        let name = format!("r{round}.h5");
+        let all: Vec<_> = ["0/3", "1/3", "2/3"]
+            .map(|shard| {
+                let own = [&solve[..], &["--shard", shard, "--out", &name]].concat();
+                command(&folder, &own)
+                    .stderr(Stdio::null())
+                    .spawn()
+                    .unwrap()
+            })
+            .into_iter()
+            .map(|mut child| child.wait().unwrap().code())
+            .collect();
+        // One that comes late is refused at once.
+        let made = all.iter().filter(|code| **code == Some(0)).count();
+        assert!(
+            all.iter().all(|code| [Some(0), Some(2)].contains(code)),
+            "{all:?}"
+        );
+        let files = entries(&folder);
+        let own = files
+            .iter()
+            .filter(|file| file.starts_with(&format!("r{round}")))
+            .count();
+        assert_eq!(own, made, "{files:?}");
+    }
 }

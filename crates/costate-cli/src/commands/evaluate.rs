@@ -9,7 +9,7 @@ use crate::terminal::Terminal;
 use costate::low_level::closed_loop::Weights;
 use costate::low_level::result::Stored;
 use costate::run::{
-    LoopsDone, Provenance, evaluate as simulate, evaluate_shard, other_scene, weights,
+    LoopsDone, Provenance, evaluate as simulate, evaluate_shard, other_scene, output_of, weights,
 };
 use costate::session::summary::{DissipationSummary, EvaluationSummary};
 use costate::session::{LoopOptions, Session, SessionError};
@@ -60,7 +60,11 @@ pub fn evaluate(args: &EvaluateArgs) -> Result<(), CliError> {
     let out = args.out.as_deref();
     let shard = shard::of(args.part, &terminal)?;
     if shard.is_some() || args.part.resume {
-        let out = out.ok_or(ShardRefusal::NoOut)?;
+        let own = || {
+            let ending = format!("_closed_loop{}", shard::ending(shard));
+            shard.map(|_| output_of(Path::new(&scene.model.file_name), &ending))
+        };
+        let out = &(out.map(Path::to_owned).or_else(own)).ok_or(ShardRefusal::NoOut)?;
         let ending = Ending::of_loops(args, &provenance);
         let session = session.until(ending.deadline);
         let part = (shard, shard::resume(args.part));
