@@ -26,7 +26,8 @@ pub fn solved_values(
     Ok(least(&found))
 }
 
-/// The same of the states of some blocks (see [`value::count_blocks`]): their numbers, and V.
+/// The same of the states of some blocks (see [`value::count_blocks`]; `None`: of all): their numbers,
+/// and V.
 ///
 /// # Errors
 /// As [`solved_values`].
@@ -35,7 +36,7 @@ pub fn values_of_blocks(
     backend: &dyn Backend,
     choices: Choices,
     states: &[f64],
-    blocks: &[usize],
+    blocks: Option<&[usize]>,
     progress: Progress<'_>,
 ) -> Result<(Vec<usize>, Vec<f64>), LoopError> {
     let (_, _, found, _) = value::solve_blocks(
@@ -43,7 +44,7 @@ pub fn values_of_blocks(
         backend,
         choices,
         states,
-        Some(blocks),
+        blocks,
         progress,
     )?;
     let values = least(&found);

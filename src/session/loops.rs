@@ -101,32 +101,26 @@ impl Loops<'_> {
             model, hamiltonian, ..
         } = session.scene;
         let step = session.step();
-        let all = || (0..self.initial.count()).collect();
-        let (numbers, values) = if self.solve {
+        let (numbers, solved) = if self.solve {
+            let (scene, x) = ((model, hamiltonian), &self.initial.x);
             let mut shown = step.states();
-            let x = &self.initial.x;
-            in_pool(|| match units {
-                Some(blocks) => {
-                    let scene = (model, hamiltonian);
-                    values_of_blocks(scene, backend, session.choices, x, blocks, &mut shown)
-                }
-                None => {
-                    let values =
-                        solved_values(model, hamiltonian, backend, session.choices, x, &mut shown);
-                    values.map(|values| (all(), values))
-                }
-            })?
+            let (numbers, values) = in_pool(|| {
+                values_of_blocks(scene, backend, session.choices, x, units, &mut shown)
+            })?;
+            (numbers, Some(values))
         } else {
-            let numbers: Vec<usize> = units.map_or_else(all, <[usize]>::to_vec);
-            let part = self.initial.some(&numbers);
-            let values = session.known_values(self.from, &part, self.initial.count())?;
-            (numbers, values)
+            let all = || (0..self.initial.count()).collect();
+            (units.map_or_else(all, <[usize]>::to_vec), None)
         };
         // What is of none has no laws to compile.
         if numbers.is_empty() {
             return Ok(());
         }
         let part = self.initial.some(&numbers);
+        let values = match solved {
+            Some(values) => values,
+            None => session.known_values(self.from, &part, self.initial.count())?,
+        };
         let chart = self.from.chart();
         let laws = in_pool(|| {
             self.setting

@@ -142,6 +142,26 @@ pub struct Manifest {
 }
 
 impl Manifest {
+    /// Of a part of so many units, without what was asked for and how exactly.
+    fn begun(
+        of: Kind,
+        session: &Session<'_>,
+        (shard, units): (Option<Shard>, usize),
+        provenance: &Provenance,
+    ) -> Self {
+        Self {
+            of,
+            shard: shard.map_or(0, Shard::number),
+            shards: shard.map_or(1, Shard::of),
+            units,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            revision: provenance.git_revision.clone(),
+            scene: of_scene(&session.scene().model),
+            backend: session.backend().name().to_owned(),
+            ..Self::default()
+        }
+    }
+
     /// Of a part of the states that a session solves for.
     pub(in crate::run) fn of(
         session: &Session<'_>,
@@ -160,13 +180,6 @@ impl Manifest {
         };
         let bits = targets.all();
         Self {
-            of: Kind::States,
-            shard: wanted.shard.map_or(0, Shard::number),
-            shards: wanted.shard.map_or(1, Shard::of),
-            units: *units,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            revision: provenance.git_revision.clone(),
-            scene: of_scene(&session.scene().model),
             asked: Asked {
                 listed: targets.listed,
                 of_map: wanted.states == States::OfMap,
@@ -179,10 +192,10 @@ impl Manifest {
                 states: of_numbers(&bits),
                 loops: None,
             },
-            backend: session.backend().name().to_owned(),
             precision: plan.spec.precision.name().to_owned(),
             method: plan.method().name().to_owned(),
             rtol: plan.rtol_asked,
+            ..Self::begun(Kind::States, session, (wanted.shard, *units), provenance)
         }
     }
 
@@ -197,21 +210,14 @@ impl Manifest {
         let precision = choices.precision.or(model.integrator.precision);
         let method = choices.method.or(model.integrator.method);
         Self {
-            of,
-            shard: shard.map_or(0, Shard::number),
-            shards: shard.map_or(1, Shard::of),
-            units,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            revision: provenance.git_revision.clone(),
-            scene: of_scene(model),
             asked: Asked {
                 rows: units,
                 ..Asked::default()
             },
-            backend: session.backend().name().to_owned(),
             precision: precision.map_or("auto", |p| p.name()).to_owned(),
             method: method.map_or("auto", |method| method.name()).to_owned(),
             rtol: choices.rtol.unwrap_or(model.integrator.rtol),
+            ..Self::begun(of, session, (shard, units), provenance)
         }
     }
 
@@ -226,23 +232,16 @@ impl Manifest {
         let (model, choices) = (&session.scene().model, &session.choices);
         let method = choices.method.or(model.integrator.method);
         Self {
-            of: Kind::ClosedLoop,
-            shard: shard.map_or(0, Shard::number),
-            shards: shard.map_or(1, Shard::of),
-            units,
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            revision: provenance.git_revision.clone(),
-            scene: of_scene(model),
             asked: Asked {
                 rows: count,
                 states: of_numbers(states),
                 loops: Some(loops),
                 ..Asked::default()
             },
-            backend: session.backend().name().to_owned(),
             precision: numerics.precision.name().to_owned(),
             method: method.map_or("auto", |method| method.name()).to_owned(),
             rtol: numerics.rtol_asked,
+            ..Self::begun(Kind::ClosedLoop, session, (shard, units), provenance)
         }
     }
 
