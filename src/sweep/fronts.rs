@@ -8,9 +8,10 @@
 
 use super::caustic::FoldPoint;
 use super::gaps::Gaps;
-use super::neighbours::{Edge, Neighbours, Vertex, Waiting};
+use super::neighbours::{Edge, Found, Neighbours, Vertex, Waiting, Waits};
 use super::nodes::{Extent, Nodes, Place, Slot, State};
 use super::observe::{self, Observed, Strip};
+use super::parts::{First, SurfacePart};
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
 use super::surface::Guarded;
@@ -20,6 +21,7 @@ use crate::local::SeedScratch;
 use crate::model::Precision;
 use crate::trajectories::TrajectoryBlock;
 use rayon::prelude::*;
+use rustc_hash::FxHashMap;
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 
@@ -32,6 +34,8 @@ const ROUND: usize = 8192;
 const STRIP: usize = 32;
 /// Edges or seeds a task has at least.
 const TASK: usize = 64;
+/// Edges that are looked at for a round at most, where others come first in the simplices they lie in.
+const LOOKED_AT: usize = 4 * ROUND;
 /// Edges that may wait although the cap leaves them no seed: they are counted and forgotten only
 /// where they are more than that.
 const KEPT: usize = 1 << 17;
@@ -181,8 +185,33 @@ enum Verdict {
     Unknown,
     Settled,
     /// A seed between its ends: they are further apart than the spacing, or a guard's boundary
-    /// (told as a gap of 1) lies between. With the edge's root.
-    Apart(f32, u32),
+    /// (told as a gap of 1) lies between. With the halvings up to it.
+    Apart(f32, u16),
+}
+
+/// An edge that may be split, and those that come first.
+struct Turn {
+    edge: Edge,
+    gap: f32,
+    first: Vec<(Edge, f32)>,
+    /// Whether it is split in another round.
+    held: bool,
+}
+
+impl Turn {
+    fn new(edge: Edge, gap: f32, waits: Waits) -> Self {
+        let held = waits == Waits::ForJudgement;
+        let first = match waits {
+            Waits::For(first) => first,
+            Waits::No | Waits::ForJudgement => Vec::new(),
+        };
+        Self {
+            edge,
+            gap,
+            first,
+            held,
+        }
+    }
 }
 
 /// A seed half-way, or on the boundary of a guard.
@@ -193,23 +222,27 @@ struct Middle {
     at_guard: bool,
     /// Whether the precision tells it from its neighbours.
     distinct: bool,
-    /// Whether a common neighbour of the ends is there already.
-    taken: bool,
-    /// Halvings one after the other up to it.
-    depth: u16,
-    /// Whether these have not made its neighbours nearer to each other.
+    /// A common neighbour of the ends that is so near takes its place; the distance squared.
+    near: f64,
+    /// Whether the halvings up to it have not made its neighbours nearer to each other.
     crowded: bool,
 }
 
 struct Fronts<'a> {
     plan: &'a Plan,
     observed: &'a Observed,
+    /// By simplex of the first triangulation: whether it is swept.
+    is_swept: Vec<bool>,
     neighbours: Neighbours,
     nodes: Nodes,
     gaps: Gaps,
     waiting: Waiting,
+    /// Those that wait for others of the simplices they lie in.
+    held: FxHashMap<Edge, f32>,
     deferred: Vec<Edge>,
     pending: Vec<Vertex>,
+    /// Those that are pending here, and reported by another part of the surface.
+    borrowed: Vec<Vertex>,
     /// Swept, but not compared with their neighbours yet.
     unjudged: usize,
     /// Whether a vertex was placed that will not be swept: its edges can be judged at once.
@@ -225,7 +258,8 @@ struct Fronts<'a> {
 
 impl<'a> Fronts<'a> {
     fn new(plan: &'a Plan, observed: &'a Observed) -> Self {
-        let (simplices, parameters) = plan.surface.triangulation(plan.shoot_out.max_seeds);
+        let (simplices, mut parameters) = plan.surface.triangulation(plan.shoot_out.max_seeds);
+        let first = First::new(&simplices, &parameters, plan.part);
         let bounds = (plan.region.iter().zip(&plan.widths).zip(&plan.periodic))
             .map(|(([lo, hi], w), periodic)| {
                 if *periodic {
@@ -239,7 +273,8 @@ impl<'a> Fronts<'a> {
         let mut this = Self {
             plan,
             observed,
-            neighbours: Neighbours::new(parameters.len(), &simplices),
+            neighbours: Neighbours::new(&first),
+            is_swept: first.is_swept,
             nodes: Nodes::new(n, parameters.first().map_or(n, Vec::len), plan.samples()),
             gaps: Gaps {
                 bounds,
@@ -248,8 +283,10 @@ impl<'a> Fronts<'a> {
                 simd: Simd::detect(),
             },
             waiting: Waiting::default(),
+            held: FxHashMap::default(),
             deferred: Vec::new(),
             pending: Vec::new(),
+            borrowed: Vec::new(),
             unjudged: 0,
             placed_outside: false,
             sampler: Sampler::new(
@@ -261,7 +298,8 @@ impl<'a> Fronts<'a> {
             batch: Trajectories::default(),
             report: SweepReport::default(),
         };
-        for parameter in parameters {
+        for vertex in &first.vertices {
+            let parameter = std::mem::take(&mut parameters[*vertex as usize]);
             let (parameter, seed, guarded) = plan.surface.placed(parameter);
             let middle = Middle {
                 guarded,
@@ -306,19 +344,30 @@ impl<'a> Fronts<'a> {
         let state = if guarded.inside {
             State::Pending
         } else {
-            self.report.coverage.outside_guards += 1;
             self.placed_outside = true;
             State::Outside
         };
         let at = Place {
             state,
             boundary: at_guard || guarded.on_boundary,
-            depth: middle.depth,
         };
         let vertex = self.nodes.add(parameter, seed, at);
-        if guarded.inside {
-            self.pending.push(vertex);
+        match (guarded.inside, self.is_own(vertex)) {
+            (true, true) => self.pending.push(vertex),
+            (true, false) => self.borrowed.push(vertex),
+            (false, own) => self.report.coverage.outside_guards += usize::from(own),
         }
+    }
+
+    /// Whether a vertex is reported here, not by another part of the surface that has it too.
+    fn is_own(&self, vertex: Vertex) -> bool {
+        self.plan.part == SurfacePart::WHOLE
+            || self.is_swept[self.neighbours.root_of(vertex) as usize]
+    }
+
+    /// The same of an edge, once between two of its ends.
+    fn is_own_edge(&self, edge: Edge) -> bool {
+        self.plan.part == SurfacePart::WHOLE || self.is_swept[self.neighbours.root(edge) as usize]
     }
 
     /// Integrates what is pending; false where nobody takes the results any more.
@@ -330,18 +379,23 @@ impl<'a> Fronts<'a> {
     ) -> Result<bool, BackendError> {
         let plan = self.plan;
         let dim = plan.spec.dim();
+        let most = batch_limit(dim, plan.run.levels.len()).min(kernel.preferred_batch());
+        let borrowed = std::mem::take(&mut self.borrowed);
+        for vertices in borrowed.chunks(most) {
+            self.integrate_some(kernel, vertices)?;
+            let width = self.nodes.path_width();
+            let batch = &self.batch;
+            (self.nodes.sweep(vertices).par_iter_mut().enumerate())
+                .with_min_len(TASK)
+                .for_each_init(
+                    || vec![0.0; width],
+                    |path, (i, slot)| record(plan, batch, i, path, slot),
+                );
+        }
         let pending = std::mem::take(&mut self.pending);
         self.unjudged = pending.len();
-        let most = batch_limit(dim, plan.run.levels.len()).min(kernel.preferred_batch());
         for vertices in pending.chunks(most) {
-            self.seeds.resize(vertices.len() * dim, 0.0);
-            let nodes = &self.nodes;
-            (self.seeds.par_chunks_mut(dim).zip(vertices))
-                .with_min_len(TASK)
-                .for_each(|(to, v)| plan.start_into(nodes.seed(*v), to));
-            let start = std::time::Instant::now();
-            kernel.integrate_into(&plan.run, &self.seeds, &mut self.batch)?;
-            self.report.integrate_seconds += start.elapsed().as_secs_f64();
+            self.integrate_some(kernel, vertices)?;
             for (i, v) in vertices.iter().enumerate() {
                 let (seed, parameter) = (self.nodes.seed(*v), self.nodes.parameter(*v));
                 self.sampler.offer(i, &self.batch, seed, parameter);
@@ -356,6 +410,25 @@ impl<'a> Fronts<'a> {
             }
         }
         Ok(true)
+    }
+
+    /// Integrates vertices as one batch.
+    fn integrate_some(
+        &mut self,
+        kernel: &mut dyn Kernel,
+        vertices: &[Vertex],
+    ) -> Result<(), BackendError> {
+        let plan = self.plan;
+        let dim = plan.spec.dim();
+        self.seeds.resize(vertices.len() * dim, 0.0);
+        let nodes = &self.nodes;
+        (self.seeds.par_chunks_mut(dim).zip(vertices))
+            .with_min_len(TASK)
+            .for_each(|(to, v)| plan.start_into(nodes.seed(*v), to));
+        let start = std::time::Instant::now();
+        kernel.integrate_into(&plan.run, &self.seeds, &mut self.batch)?;
+        self.report.integrate_seconds += start.elapsed().as_secs_f64();
+        Ok(())
     }
 
     /// Tells what is reported of a batch, fills its block, and keeps what neighbours are compared
@@ -425,6 +498,9 @@ impl<'a> Fronts<'a> {
     fn judge(&mut self) -> Result<(), BackendError> {
         let mut edges = std::mem::take(&mut self.deferred);
         edges.extend(self.neighbours.take_fresh());
+        // What lies together is read together.
+        let neighbours = &self.neighbours;
+        edges.par_sort_unstable_by_key(|e| (neighbours.root_of(e.1), e.1, e.0));
         for edges in edges.chunks(JUDGED) {
             if self.is_stopped() {
                 return Ok(());
@@ -433,12 +509,13 @@ impl<'a> Fronts<'a> {
         }
         self.unjudged = 0;
         self.placed_outside = false;
-        self.drop_unaffordable();
-        for vertex in self.neighbours.take_closed() {
-            self.nodes.forget(vertex);
+        for (edge, gap) in std::mem::take(&mut self.held) {
+            let halvings = self.neighbours.halvings(edge);
+            self.waiting.push(halvings, gap, edge);
         }
+        self.drop_unaffordable();
         for vertex in self.neighbours.take_forgotten() {
-            self.nodes.forget_place(vertex);
+            self.nodes.forget(vertex);
         }
         match self.nodes.failure() {
             None => Ok(()),
@@ -448,27 +525,30 @@ impl<'a> Fronts<'a> {
 
     fn judge_some(&mut self, edges: &[Edge]) {
         let this = &*self;
-        let verdicts: Vec<Verdict> = (edges.par_iter().with_min_len(TASK))
+        let verdicts: Vec<(Verdict, [u32; 2])> = (edges.par_iter().with_min_len(TASK))
             .map_init(Default::default, |buffers, edge| {
-                this.verdict(*edge, buffers)
+                (this.verdict(*edge, buffers), this.neighbours.places(*edge))
             })
             .collect();
-        for (&edge, verdict) in edges.iter().zip(verdicts) {
+        for (&edge, (verdict, places)) in edges.iter().zip(verdicts) {
             match verdict {
                 Verdict::Unknown => {
                     self.deferred.push(edge);
                     continue;
                 }
-                Verdict::Settled => self.neighbours.settle(edge),
-                Verdict::Apart(gap, root) => self.waiting.push(root, gap, edge),
+                Verdict::Settled => self.neighbours.note_at(edge, places, Found::Settled),
+                Verdict::Apart(gap, halvings) => {
+                    self.neighbours.note_at(edge, places, Found::Apart(gap));
+                    self.waiting.push(halvings, gap, edge);
+                }
             }
-            self.report.coverage.pairs += 1;
+            self.report.coverage.pairs += usize::from(self.is_own_edge(edge));
         }
     }
 
     fn verdict(&self, edge: Edge, [x, y]: &mut [Vec<f32>; 2]) -> Verdict {
         let Edge(a, b) = edge;
-        // What comes near a vertex that all neighbours were near to is near enough.
+        // Nothing is forgotten that an open edge is at.
         let (Some(at_a), Some(at_b)) = (self.nodes.state(a), self.nodes.state(b)) else {
             return Verdict::Settled;
         };
@@ -482,13 +562,13 @@ impl<'a> Fronts<'a> {
                 };
                 let gap = self.gaps.between(a, b);
                 if f64::from(gap) > self.plan.shoot_out.spacing {
-                    Verdict::Apart(gap, self.neighbours.root(edge))
+                    Verdict::Apart(gap, self.neighbours.halvings(edge))
                 } else {
                     Verdict::Settled
                 }
             }
             _ if self.nodes.is_on_boundary(a) || self.nodes.is_on_boundary(b) => Verdict::Settled,
-            _ => Verdict::Apart(1.0, self.neighbours.root(edge)),
+            _ => Verdict::Apart(1.0, self.neighbours.halvings(edge)),
         }
     }
 
@@ -499,9 +579,17 @@ impl<'a> Fronts<'a> {
             return;
         }
         for (edge, gap) in self.waiting.keep(KEPT.max(most)) {
-            self.neighbours.give_up(edge);
-            let coverage = &mut self.report.coverage;
-            coverage.uncovered += 1;
+            self.count_gap(edge, gap, |coverage| &mut coverage.uncovered);
+            self.neighbours.settle(edge);
+        }
+    }
+
+    /// Counts a gap that is left.
+    fn count_gap(&mut self, edge: Edge, gap: f32, of: impl Fn(&mut Coverage) -> &mut usize) {
+        let own = usize::from(self.is_own_edge(edge));
+        let coverage = &mut self.report.coverage;
+        *of(coverage) += own;
+        if own > 0 {
             coverage.widest = coverage.widest.max(f64::from(gap));
         }
     }
@@ -516,16 +604,103 @@ impl<'a> Fronts<'a> {
             if self.is_stopped() {
                 return Ok(false);
             }
-            if self.room() == 0 || self.waiting.is_empty() {
-                return Ok(!self.pending.is_empty());
-            }
-            while self.room() > 0 && !self.waiting.is_empty() && !self.is_stopped() {
-                let room = self.room();
-                let next = std::iter::from_fn(|| self.waiting.pop());
-                let edges: Vec<(Edge, f32)> = next.take(room).collect();
+            let mut looked_at = 0;
+            while self.room() > 0 && looked_at < LOOKED_AT && !self.is_stopped() {
+                let edges = self.choose(&mut looked_at);
+                if edges.is_empty() {
+                    break;
+                }
                 self.split(&edges);
             }
+            if !self.placed_outside {
+                return Ok(!(self.pending.is_empty() && self.borrowed.is_empty()));
+            }
         }
+    }
+
+    /// Takes edges to be split at once, as many as the round has room for, in an order in which those
+    /// that share a simplex come in their turn.
+    fn choose(&mut self, looked_at: &mut usize) -> Vec<(Edge, f32)> {
+        let (mut chosen, mut around) = (Vec::new(), Vec::new());
+        let room = self.room();
+        while chosen.len() < room && *looked_at < LOOKED_AT {
+            let next = std::iter::from_fn(|| self.waiting.pop());
+            let some: Vec<(Edge, f32)> = next.take(room - chosen.len()).collect();
+            if some.is_empty() {
+                break;
+            }
+            *looked_at += some.len();
+            let neighbours = &self.neighbours;
+            let waits: Vec<Waits> = (some.par_iter().with_min_len(TASK))
+                .map_init(Vec::new, |around, (edge, gap)| {
+                    neighbours.waits(*edge, *gap, around)
+                })
+                .collect();
+            // Until they are split, what is chosen changes nothing of this.
+            for ((edge, gap), waits) in some.into_iter().zip(waits) {
+                *looked_at += self.take(Turn::new(edge, gap, waits), &mut chosen, &mut around);
+            }
+        }
+        // What others waited for may be more than there is room for.
+        for (edge, gap) in chosen.split_off(room.min(chosen.len())) {
+            self.neighbours.note(edge, Found::Apart(gap));
+            self.held.insert(edge, gap);
+        }
+        chosen
+    }
+
+    /// Takes an edge after those that it waits for, or holds it where these cannot be taken; how many
+    /// these were.
+    fn take(
+        &mut self,
+        turn: Turn,
+        chosen: &mut Vec<(Edge, f32)>,
+        around: &mut Vec<Vertex>,
+    ) -> usize {
+        let mut looked_at = 0;
+        if !self.is_waiting(turn.edge) {
+            return looked_at;
+        }
+        // The last one has its turn; the one before waits for it.
+        let mut turns = vec![turn];
+        while let Some(turn) = turns.last_mut() {
+            let Turn { edge, gap, .. } = *turn;
+            if let Some((other, gap)) = turn.first.pop() {
+                if self.is_waiting(other) {
+                    self.waiting
+                        .take(self.neighbours.halvings(other), gap, other);
+                    let waits = self.neighbours.waits(other, gap, around);
+                    looked_at += 1;
+                    turns.push(Turn::new(other, gap, waits));
+                } else {
+                    turn.held |= self.holds_up(other, edge);
+                }
+                continue;
+            }
+            if turn.held {
+                self.held.insert(edge, gap);
+            } else {
+                self.neighbours.note(edge, Found::Chosen);
+                chosen.push((edge, gap));
+            }
+            turns.pop();
+            if let Some(waiting) = turns.last_mut() {
+                waiting.held |= self.holds_up(edge, waiting.edge);
+            }
+        }
+        looked_at
+    }
+
+    /// Whether an edge with a gap was neither taken for this round nor held for the next.
+    fn is_waiting(&self, edge: Edge) -> bool {
+        self.neighbours.found(edge) != Some(Found::Chosen) && !self.held.contains_key(&edge)
+    }
+
+    /// Whether one that comes first keeps another from being split with it: it is held too, or what
+    /// comes of it comes first as well.
+    fn holds_up(&self, first: Edge, other: Edge) -> bool {
+        let fewer = self.neighbours.halvings(first) < self.neighbours.halvings(other);
+        fewer || self.held.contains_key(&first)
     }
 
     /// Whether the deadline has passed, which is noted.
@@ -537,12 +712,13 @@ impl<'a> Fronts<'a> {
     /// Seeds that the cap leaves.
     fn affordable(&self) -> usize {
         let placed = self.report.trajectories + self.pending.len();
-        self.plan.shoot_out.max_seeds.saturating_sub(placed)
+        (self.plan.part.share(self.plan.shoot_out.max_seeds)).saturating_sub(placed)
     }
 
     /// Seeds that fit the round.
     fn room(&self) -> usize {
-        (ROUND.saturating_sub(self.pending.len())).min(self.affordable())
+        let pending = self.pending.len() + self.borrowed.len();
+        ROUND.saturating_sub(pending).min(self.affordable())
     }
 
     /// Puts seeds between the ends of edges.
@@ -556,18 +732,15 @@ impl<'a> Fronts<'a> {
             .zip(parameters.par_chunks_mut(width))
             .zip(seeds.par_chunks_mut(length))
             .with_min_len(TASK)
-            .map_init(
-                Default::default,
-                |(scratch, around), ((edge, parameter), seed)| {
-                    this.neighbours.around(edge.0, around);
-                    this.middle(edge.0, around, (parameter, seed), scratch)
-                },
-            )
+            .map_init(Default::default, |scratch, ((edge, parameter), seed)| {
+                this.middle(edge.0, (parameter, seed), scratch)
+            })
             .collect();
         let found = (parameters.chunks_exact(width)).zip(seeds.chunks_exact(length));
+        let mut around = Vec::new();
         for ((&(edge, gap), middle), (parameter, seed)) in edges.iter().zip(middles).zip(found) {
             // The way between the ends leads by that neighbour, to which both were compared.
-            if middle.taken {
+            if middle.near > 0.0 && self.is_taken(edge, (parameter, middle.near), &mut around) {
                 self.neighbours.settle(edge);
                 continue;
             }
@@ -578,27 +751,33 @@ impl<'a> Fronts<'a> {
             }
             // A boundary that coincides with its inner end leaves nothing between; a gap does.
             if middle.distinct || !middle.at_guard {
-                let coverage = &mut self.report.coverage;
-                match middle.distinct {
-                    true => coverage.crowded += 1,
-                    false => coverage.indistinguishable += 1,
-                }
-                coverage.widest = coverage.widest.max(f64::from(gap));
+                self.count_gap(edge, gap, |coverage| match middle.distinct {
+                    true => &mut coverage.crowded,
+                    false => &mut coverage.indistinguishable,
+                });
             }
             self.neighbours.settle(edge);
         }
+    }
+
+    /// Whether a common neighbour of an edge's ends is near a parameter, as the square of the distance
+    /// says.
+    fn is_taken(&self, edge: Edge, (at, near): (&[f64], f64), around: &mut Vec<Vertex>) -> bool {
+        self.neighbours.around(edge, around);
+        around.iter().any(|v| {
+            square(at, self.nodes.parameter(*v)) < near && self.neighbours.is_beside(*v, edge)
+        })
     }
 
     /// Computes the parameter and the seed between the ends of an edge.
     fn middle(
         &self,
         edge: Edge,
-        around: &[Vertex],
         (parameter, seed): (&mut [f64], &mut [f64]),
         scratch: &mut SeedScratch,
     ) -> Middle {
         let (surface, nodes) = (&self.plan.surface, &self.nodes);
-        let Edge(a, b) = edge;
+        let [a, b] = self.neighbours.ends(edge);
         let outside = |v: Vertex| nodes.state(v) == Some(State::Outside);
         let (p, q) = (nodes.parameter(a), nodes.parameter(b));
         match (outside(a), outside(b)) {
@@ -609,7 +788,7 @@ impl<'a> Fronts<'a> {
         let mut guarded = surface.place(parameter, seed, scratch);
         let crosses = outside(a) || outside(b);
         let mut at_guard = crosses;
-        let depth = nodes.depth(a).max(nodes.depth(b)).saturating_add(1);
+        let depth = self.neighbours.halvings(edge).saturating_add(1);
         // A surface of seeds follows a guard by seeds on it, not by pairs on either side; but where
         // they crowd, one outside ends it.
         let moves = !crosses && !guarded.inside && depth <= MOVED * self.plan.system.states as u16;
@@ -623,14 +802,11 @@ impl<'a> Fronts<'a> {
             guarded = surface.place(parameter, seed, scratch);
             at_guard = true;
         }
-        let near = NEAR * NEAR * long;
         Middle {
             guarded,
             at_guard,
-            taken: !crosses
-                && (around.iter()).any(|v| square(parameter, nodes.parameter(*v)) < near),
+            near: if crosses { 0.0 } else { NEAR * NEAR * long },
             distinct: self.differ(seed, nodes.seed(a)) && self.differ(seed, nodes.seed(b)),
-            depth,
             crowded: depth > HALVINGS + FOR_A_STATE * self.plan.system.states as u16
                 && long * f64::from(depth).exp2() > 1.0,
         }
@@ -648,11 +824,14 @@ impl<'a> Fronts<'a> {
     }
 
     fn finished(mut self) -> SweepReport {
+        let waiting: Vec<(Edge, f32)> = (self.waiting.iter())
+            .chain(std::mem::take(&mut self.held))
+            .collect();
+        for (edge, gap) in waiting {
+            self.count_gap(edge, gap, |coverage| &mut coverage.uncovered);
+        }
         // Seeds that were placed and not swept or not judged, for want of time, leave gaps too.
-        let left = self.pending.len() + self.unjudged;
-        let coverage = &mut self.report.coverage;
-        coverage.uncovered += self.waiting.len() + left;
-        coverage.widest = coverage.widest.max(f64::from(self.waiting.widest()));
+        self.report.coverage.uncovered += self.pending.len() + self.unjudged;
         self.report.sample =
             (self.sampler).finish(self.plan.spec.dim(), self.plan.run.levels.len());
         self.report

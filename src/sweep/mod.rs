@@ -10,6 +10,7 @@ mod gaps;
 mod neighbours;
 mod nodes;
 mod observe;
+mod parts;
 mod paths;
 mod plan;
 mod sample;
@@ -21,6 +22,7 @@ pub use caustic::FoldPoint;
 pub use draft::with_margin;
 pub use fronts::{Coverage, Progress, SweepReport, sweep, sweep_keeping};
 pub use observe::Observed;
+pub use parts::SurfacePart;
 pub(crate) use plan::MOST_OPERATIONS;
 pub use plan::{
     AT_GUARD, Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling, spread_over,

@@ -21,7 +21,6 @@ pub(super) struct Place {
     pub state: State,
     /// Whether it is on the boundary of a guard.
     pub boundary: bool,
-    pub depth: u16,
 }
 
 /// Rows of vertices.
@@ -29,21 +28,16 @@ pub(super) struct Nodes {
     /// By vertex.
     row: Vec<u32>,
     free: Vec<u32>,
-    /// Parameters are kept longer than the rest, in rows of their own.
-    place: Vec<u32>,
-    free_places: Vec<u32>,
-    parameters: Vec<f64>,
     states: usize,
     /// Numbers of a parameter and of a seed, `(s, p, V)`.
     parameter: usize,
     seed: usize,
     /// By row, as everything below.
+    parameters: Vec<f64>,
     seeds: Vec<f64>,
     state: Vec<State>,
     /// On the boundary of a guard: nothing is between it and an outside neighbour.
     boundary: Vec<bool>,
-    /// Pairs that were halved one after the other up to it.
-    depth: Vec<u16>,
     passed: Vec<Extent>,
     /// Where trajectories have ended in folds, in widths of the region; NaN where they have not.
     folds: Vec<f32>,
@@ -84,8 +78,6 @@ impl Nodes {
         Self {
             row: Vec::new(),
             free: Vec::new(),
-            place: Vec::new(),
-            free_places: Vec::new(),
             states,
             parameter,
             seed: 2 * states + 1,
@@ -93,7 +85,6 @@ impl Nodes {
             seeds: Vec::new(),
             state: Vec::new(),
             boundary: Vec::new(),
-            depth: Vec::new(),
             passed: Vec::new(),
             folds: Vec::new(),
             paths: Paths::new(states, levels),
@@ -117,18 +108,14 @@ impl Nodes {
 
     /// Enters a new vertex; they come in order.
     pub fn add(&mut self, parameter: &[f64], seed: &[f64], new: Place) -> Vertex {
-        let Place {
-            state,
-            boundary,
-            depth,
-        } = new;
+        let Place { state, boundary } = new;
         let row = self.free.pop().unwrap_or_else(|| {
             let row = self.state.len();
+            self.parameters.resize((row + 1) * self.parameter, 0.0);
             self.seeds.resize((row + 1) * self.seed, 0.0);
             self.folds.resize((row + 1) * self.states, f32::NAN);
             self.state.push(state);
             self.boundary.push(boundary);
-            self.depth.push(depth);
             self.passed.push(Extent::default());
             row as u32
         });
@@ -136,32 +123,16 @@ impl Nodes {
         self.seeds[at * self.seed..][..self.seed].copy_from_slice(seed);
         self.state[at] = state;
         self.boundary[at] = boundary;
-        self.depth[at] = depth;
+        self.parameters[at * self.parameter..][..self.parameter].copy_from_slice(parameter);
         self.row.push(row);
-        let place = self.free_places.pop().unwrap_or_else(|| {
-            let place = self.parameters.len() / self.parameter;
-            self.parameters.resize((place + 1) * self.parameter, 0.0);
-            place as u32
-        });
-        let to = place as usize * self.parameter;
-        self.parameters[to..][..self.parameter].copy_from_slice(parameter);
-        self.place.push(place);
         self.row.len() as Vertex - 1
     }
 
-    /// Drops all of a vertex but its parameter.
+    /// Drops a vertex.
     pub fn forget(&mut self, vertex: Vertex) {
         let row = std::mem::replace(&mut self.row[vertex as usize], NONE);
         if row != NONE {
             self.free.push(row);
-        }
-    }
-
-    /// Drops the parameter of a vertex.
-    pub fn forget_place(&mut self, vertex: Vertex) {
-        let place = std::mem::replace(&mut self.place[vertex as usize], NONE);
-        if place != NONE {
-            self.free_places.push(place);
         }
     }
 
@@ -179,17 +150,11 @@ impl Nodes {
         self.row(vertex).is_some_and(|row| self.boundary[row])
     }
 
-    /// Pairs that were halved one after the other up to a vertex that is not forgotten.
-    pub fn depth(&self, vertex: Vertex) -> u16 {
-        self.row(vertex).map_or(0, |row| self.depth[row])
-    }
-
-    /// The parameter of a vertex; nothing of one whose place is forgotten.
+    /// The parameter of a vertex; nothing of one forgotten.
     pub fn parameter(&self, vertex: Vertex) -> &[f64] {
-        match self.place[vertex as usize] {
-            NONE => &[],
-            place => &self.parameters[place as usize * self.parameter..][..self.parameter],
-        }
+        (self.row(vertex)).map_or(&[], |row| {
+            &self.parameters[row * self.parameter..][..self.parameter]
+        })
     }
 
     /// The seed of a vertex; nothing of one forgotten.

@@ -2,6 +2,7 @@
 //! and end.
 
 use super::draft::Draft;
+use super::parts::SurfacePart;
 use super::surface::{Surface, corners};
 use crate::backend::{Backend, Deadline, Run, Spec, Status};
 use crate::expr::Id;
@@ -104,6 +105,8 @@ pub struct Choices {
     pub deadline: Deadline,
     /// Whether what is solved for by the deadline is an answer; else passing it is an error.
     pub partial: bool,
+    /// What is swept of the surface of seeds, where that is not all of it.
+    pub part: Option<SurfacePart>,
 }
 
 /// The coordinate that the stored points of a sweep are levels of.
@@ -180,6 +183,8 @@ impl Numerics {
 pub struct Plan {
     /// When a sweep ends with what is there, and solving for states is given up.
     pub deadline: Deadline,
+    /// What is swept of the surface of seeds.
+    pub part: SurfacePart,
     pub spec: Spec,
     pub run: Run,
     pub surface: Surface,
@@ -276,6 +281,7 @@ impl Plan {
         let integrand = draft.integrand(value_scale, &slope_units);
         Ok(Self {
             deadline: choices.deadline,
+            part: choices.part.unwrap_or(SurfacePart::WHOLE),
             run: draft.run(&course, &integrand.scales),
             slope: integrand.slope,
             spec: integrand.spec(&numerics, course.by),
