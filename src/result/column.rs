@@ -13,6 +13,8 @@ pub struct StoredColumn {
     pub inner: Vec<usize>,
     /// Whether it has integers.
     pub whole: bool,
+    /// Whether it has real numbers of 32 bits.
+    pub single: bool,
     dataset: H5Dataset,
 }
 
@@ -26,6 +28,10 @@ impl StoredColumn {
             rows: shape.first().copied().unwrap_or(0),
             inner: shape.get(1..).unwrap_or_default().to_vec(),
             whole: matches!(dataset.datatype(), Ok(DatatypeMessage::FixedPoint { .. })),
+            single: matches!(
+                dataset.datatype(),
+                Ok(DatatypeMessage::FloatingPoint { size: 4, .. })
+            ),
             dataset,
         }
     }

@@ -35,6 +35,7 @@ pub use fit::{FittedFiles, LawFiles, fit_stored};
 pub use laws::{LawsDone, check as check_laws};
 pub use parts::write_attenuation;
 use parts::write_study;
+use shard::PartOfSweep;
 pub use shard::{
     Asked, Kind, LevelsDone, Loops, LoopsDone, Manifest, MergeError, MergeOptions, Merged,
     StudyDone, levels, listed, merge, study,
@@ -48,7 +49,7 @@ use crate::result::{RunRecord, Stored, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::RunSummary;
 use crate::session::{
-    Estimates, Finished, Kept, Outcome, Pass, Resume, Session, SessionError, Wanted,
+    Estimates, Finished, Kept, Outcome, Pass, Resume, Session, SessionError, States, Wanted,
 };
 use crate::sweep::Plan;
 use crate::sweep::accuracy::Spread;
@@ -127,12 +128,39 @@ impl Session<'_> {
     ) -> Result<Done, RunError> {
         let pass = self.prepare(wanted)?;
         if wanted.shard.is_some() || wanted.resume != Resume::Never {
-            if wanted.sweep || wanted.study || wanted.laws {
+            let pass_alone = !(wanted.study || wanted.laws);
+            if wanted.sweep && pass_alone && wanted.states == States::None && !wanted.map {
+                return self.run_sweep(wanted, pass, path.as_ref(), provenance);
+            }
+            if wanted.sweep || !pass_alone {
                 return Err(SessionError::StatesAlone.into());
             }
             return shard::run(self, wanted, (pass, path.as_ref()), provenance);
         }
-        self.run_whole(wanted, pass, path.as_ref(), provenance)
+        self.run_whole(wanted, pass, (path.as_ref(), None), provenance)
+    }
+
+    /// The same of a sweep alone that is a part, or that is not made again where it is there.
+    fn run_sweep(
+        &self,
+        wanted: &Wanted,
+        pass: Pass<'_>,
+        path: &Path,
+        provenance: &Provenance,
+    ) -> Result<Done, RunError> {
+        let path = target(path)?;
+        let mut part = PartOfSweep::new(self, wanted, (pass.plan(), &path), provenance)?;
+        if let Some(summary) = part.finished(self)? {
+            let outcome = pass.nothing();
+            return Ok(Done {
+                record: self.record_of(&outcome.plan, provenance),
+                laws: LawsDone::default(),
+                summary,
+                outcome,
+                path,
+            });
+        }
+        self.run_whole(wanted, pass, (&path, Some(&mut part)), provenance)
     }
 
     /// The same of a pass of which nothing is kept before it is done.
@@ -140,7 +168,7 @@ impl Session<'_> {
         &self,
         wanted: &Wanted,
         pass: Pass<'_>,
-        path: &Path,
+        (path, mut part): (&Path, Option<&mut PartOfSweep>),
         provenance: &Provenance,
     ) -> Result<Done, RunError> {
         let model = &self.scene().model;
@@ -149,7 +177,14 @@ impl Session<'_> {
         }
         self.progress().begun(model, pass.plan(), self.backend());
 
-        let mut output = Output::begin(path, wanted.laws && laws::wanted(model))?;
+        let mut output = match &part {
+            Some(part) => Output {
+                file: part.create(path)?,
+                path: path.to_owned(),
+                draft: None,
+            },
+            None => Output::begin(path, wanted.laws && laws::wanted(model))?,
+        };
 
         let schema = trajectory_schema(model, pass.plan());
         let swept = TrajectorySchema {
@@ -165,8 +200,13 @@ impl Session<'_> {
         })?;
         drop(writer);
         write_outcome(&mut output.file, &outcome, model, &schema)?;
-        if outcome.stopped {
-            output.mark_stopped(self)?;
+        match &mut part {
+            Some(part) => {
+                let done = (outcome.swept.trajectories, outcome.stopped);
+                output.path = part.note(self, &mut output.file, done)?;
+            }
+            None if outcome.stopped => output.mark_stopped(self)?,
+            None => {}
         }
 
         let Output {
@@ -174,18 +214,15 @@ impl Session<'_> {
             draft,
             file,
         } = output;
-        let record = RunRecord {
-            precision: outcome.plan.spec.precision.name().to_owned(),
-            method: outcome.plan.method().name().to_owned(),
-            rtol: outcome.plan.run.rtol,
-            atol: outcome.plan.atol,
-            ..self.record(provenance)
-        };
+        let record = self.record_of(&outcome.plan, provenance);
         record.write(&file)?;
         write_estimates(&file, &outcome.estimates)?;
         let mut summary = self.summary(&outcome, &path, provenance.seconds());
         file.attribute("summary", in_json(&summary))?;
-        file.finish()?;
+        path = file.finish()?;
+        if let Some(part) = part.filter(|_| !outcome.stopped) {
+            part.done();
+        }
         self.progress().finished(Finished::Solved(&outcome, model));
 
         let laws = match draft {
@@ -228,6 +265,17 @@ impl Session<'_> {
     pub fn finish(&self, file: ResultFile, provenance: &Provenance) -> Result<PathBuf, RunError> {
         self.record(provenance).write(&file)?;
         Ok(file.finish()?)
+    }
+
+    /// The record of a run with what a plan integrates by.
+    fn record_of(&self, plan: &Plan, provenance: &Provenance) -> RunRecord {
+        RunRecord {
+            precision: plan.spec.precision.name().to_owned(),
+            method: plan.method().name().to_owned(),
+            rtol: plan.run.rtol,
+            atol: plan.atol,
+            ..self.record(provenance)
+        }
     }
 
     /// The record of a run on the session's backend, with the tolerances asked for, without the

@@ -12,7 +12,7 @@ use crate::map::{self, Adaptive};
 use crate::model::MapAim;
 use crate::scene::Scene;
 use crate::study::Variant;
-use crate::sweep::{Choices, Plan, SweepReport, sweep_keeping};
+use crate::sweep::{Choices, Plan, SurfacePart, SweepReport, sweep_keeping};
 use crate::trajectories::TrajectoryBlock;
 use crate::value::blocks::{Blocks, Found, Keeper, Seam};
 use crate::value::{self, Answers, Archive, Entry, PointStatus};
@@ -172,6 +172,10 @@ impl Session<'_> {
             max_seeds: (solves && !wanted.sweep)
                 .then(|| value::guess_seeds(model.states.len(), count)),
             unasked: solves,
+            part: (wanted.shard.filter(|_| wanted.sweep)).map(|shard| SurfacePart {
+                part: shard.number(),
+                parts: shard.of(),
+            }),
             ..self.choices
         };
         Ok(Pass {
@@ -552,7 +556,8 @@ impl Session<'_> {
         };
         let backend = self.backend.as_ref();
         let swept = sweep_and_write(plan, backend, self.progress, &mut keep, write)?;
-        if swept.trajectories == 0 {
+        // A part may be outside the guards, or there may be more parts than simplices.
+        if swept.trajectories == 0 && plan.part == SurfacePart::WHOLE {
             let outside = swept.coverage.outside_guards;
             return Err(SessionError::NothingSwept { outside }.into());
         }

@@ -328,46 +328,64 @@ impl Neighbours {
         self.faces.have(self.face(vertex), a, b)
     }
 
-    /// Splits an open edge at a new vertex.
+    /// Splits an open edge at a new vertex. What is near both ends is near what is between them: it
+    /// is not compared with that.
     pub fn split(&mut self, edge: Edge) -> Vertex {
         let Edge(a, b) = edge;
         let middle = self.stars.len() as Vertex;
         let mut around = std::mem::take(&mut self.around);
         self.around(edge, &mut around);
+        let link = |to: Vertex, near: bool| Link {
+            to,
+            found: if near { Found::Settled } else { Found::Nothing },
+        };
+        // (Later edges may be settled by now or not.)
+        let depth = self.halvings(edge);
+        let is_near = |c: Vertex| {
+            let settled = |from: Vertex| {
+                let star = &self.stars[from as usize];
+                let at = star.find(c);
+                at.is_some_and(|at| star.neighbours[at].found == Found::Settled)
+            };
+            self.depth(c) <= depth && settled(a) && settled(b)
+        };
+        let mut links: Vec<Link> = around.iter().map(|c| link(*c, is_near(*c))).collect();
 
         // Each end has the new vertex as a neighbour in the other's place: as many open ones.
-        let link = Link {
-            to: middle,
-            found: Found::Nothing,
-        };
         for (from, to) in [(a, b), (b, a)] {
             let star = &mut self.stars[from as usize];
             if let Some(at) = star.find(to) {
                 star.neighbours.remove(at);
             }
-            star.neighbours.push(link);
+            star.neighbours.push(link(middle, false));
         }
-        for c in &around {
-            if self.stars[*c as usize].open == 0 {
+        for Link { to: c, found } in &links {
+            let open = u32::from(found.is_open());
+            if open > 0 && self.stars[*c as usize].open == 0 {
                 self.reopen(*c);
             }
             let star = &mut self.stars[*c as usize];
-            star.open += 1;
+            star.open += open;
             star.open_neighbours += 1;
-            star.neighbours.push(link);
+            star.neighbours.push(Link {
+                to: middle,
+                found: *found,
+            });
         }
 
-        around.extend([a, b]);
-        around.sort_unstable();
-        (self.fresh).extend(around.iter().map(|v| Edge(*v, middle)));
+        links.extend([link(a, false), link(b, false)]);
+        links.sort_unstable_by_key(|link| link.to);
+        let open = || links.iter().filter(|link| link.found.is_open());
+        (self.fresh).extend(open().map(|link| Edge(link.to, middle)));
         let [first, second] = self.names(edge);
+        let is_open = |link: &&Link| self.stars[link.to as usize].open > 0;
         self.stars.push(Star {
-            neighbours: (around.iter()).map(|v| Link { to: *v, ..link }).collect(),
-            open: around.len() as u32,
-            open_neighbours: around.len() as u32,
+            open: open().count() as u32,
+            open_neighbours: links.iter().filter(is_open).count() as u32,
             face: self.faces.join(self.face(a), self.face(b)),
             depth: self.halvings(edge).saturating_add(1),
             name: random(first, second),
+            neighbours: links,
         });
         self.around = around;
         middle

@@ -19,7 +19,7 @@ pub enum Command {
     /// Do everything that the scene asks for and write the result file.
     Run(RunArgs),
     /// Only the sweep outward from the equilibrium (or from the terminal cost).
-    ShootOut(RunArgs),
+    ShootOut(DividedArgs),
     /// Only V, p and u at the states of [homotopy] and [map], with every sheet found there.
     Homotopy(StatesArgs),
     /// Only [map]: V, p and u on its grid, or the map to an error.

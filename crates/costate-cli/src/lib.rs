@@ -81,7 +81,7 @@ pub fn run_command(arguments: impl IntoIterator<Item = OsString>) -> u8 {
 fn perform(command: Command) -> Result<(), CliError> {
     match command {
         Command::Run(args) => run::run(&args, run::Parts::All),
-        Command::ShootOut(args) => run::run(&args, run::Parts::ShootOut),
+        Command::ShootOut(args) => run::run(&args.run, run::Parts::ShootOut(&args.part)),
         Command::Homotopy(args) => run::run(&args.run, run::Parts::Homotopy(&args)),
         Command::Map(args) => run::run(&args.run, run::Parts::Map(&args)),
         Command::Merge(args) => merge::merge(&args),

@@ -32,6 +32,9 @@ pub struct Asked {
     /// Of closed loops what they are of.
     #[serde(default)]
     pub loops: Option<Loops>,
+    /// Of a sweep what is kept of its trajectories.
+    #[serde(default)]
+    pub kept: Option<String>,
 }
 
 /// Closed loops from the initial states of `[closed_loop]`.
@@ -62,6 +65,9 @@ impl Asked {
                 false => "",
             };
             return format!("laws {} from {states}{values}", loops.laws.join(", "));
+        }
+        if let Some(kept) = &self.kept {
+            return format!("trajectories, {kept}");
         }
         let of = match (self.listed, self.of_map) {
             (true, _) => "of a list",
@@ -99,6 +105,8 @@ pub enum Kind {
     ClosedLoop,
     /// Levels of attenuation.
     Attenuation,
+    /// A sweep, by parts of the surface of seeds.
+    Sweep,
 }
 
 impl Kind {
@@ -108,6 +116,7 @@ impl Kind {
             Self::Study => "variants of a study",
             Self::ClosedLoop => "closed loops",
             Self::Attenuation => "levels of attenuation",
+            Self::Sweep => "a sweep",
         }
     }
 }
@@ -143,7 +152,7 @@ pub struct Manifest {
 
 impl Manifest {
     /// Of a part of so many units, without what was asked for and how exactly.
-    fn begun(
+    pub(super) fn begun(
         of: Kind,
         session: &Session<'_>,
         (shard, units): (Option<Shard>, usize),
@@ -190,7 +199,7 @@ impl Manifest {
                 rows: targets.count(),
                 points: targets.points(),
                 states: of_numbers(&bits),
-                loops: None,
+                ..Asked::default()
             },
             precision: plan.spec.precision.name().to_owned(),
             method: plan.method().name().to_owned(),

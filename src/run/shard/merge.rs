@@ -4,6 +4,7 @@ use super::super::{Provenance, RunError};
 use super::manifest::Kind;
 use super::source::Source;
 use super::study;
+use super::sweep;
 use super::whole::{Into, assemble, note_gaps};
 use super::{levels, loops};
 use crate::backend::cpu::Cpu;
@@ -118,7 +119,7 @@ pub enum MergeError {
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
     #[error(
-        "{path} is a part of a study, of closed loops or of levels, and --virtual is for states: leave it out; such parts are small",
+        "{path} is a part of a study, of closed loops, of levels or of a sweep, and --virtual is for states: leave it out",
         path = path.display()
     )]
     VirtualSmall { path: PathBuf },
@@ -177,7 +178,7 @@ pub fn merge(
             };
             assemble(&session, &sources, into, out, provenance)?
         }
-        Kind::Study | Kind::ClosedLoop | Kind::Attenuation if options.stay => {
+        Kind::Study | Kind::ClosedLoop | Kind::Attenuation | Kind::Sweep if options.stay => {
             let path = first.path();
             return Err(MergeError::VirtualSmall { path }.into());
         }
@@ -197,6 +198,7 @@ pub fn merge(
         }
         Kind::Attenuation => levels::assemble(&session, &sources, out, provenance)?,
         Kind::ClosedLoop => loops::assemble(&session, &sources, (gaps, out), provenance)?,
+        Kind::Sweep => sweep::assemble(&session, &sources, (gaps, out), provenance)?,
     };
     Ok(Merged {
         files: sources.len(),

@@ -11,6 +11,7 @@ mod rows;
 mod source;
 mod stream;
 mod study;
+mod sweep;
 mod whole;
 
 pub use levels::{LevelsDone, levels};
@@ -21,6 +22,7 @@ pub use manifest::{Asked, Kind, Loops, Manifest};
 pub use merge::{MergeError, MergeOptions, Merged, listed, merge};
 pub(super) use part::run;
 pub use study::{StudyDone, study};
+pub(super) use sweep::PartOfSweep;
 
 use super::RunError;
 use crate::hdf5::ResultFile;

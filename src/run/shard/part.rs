@@ -46,7 +46,7 @@ pub(in crate::run) fn run<'s>(
         return Err(SessionError::NotDivided.into());
     }
     let Some(states) = pass.states() else {
-        return session.run_whole(wanted, pass, path, provenance);
+        return session.run_whole(wanted, pass, (path, None), provenance);
     };
     let work = Work {
         manifest: Manifest::of(session, wanted, &states, provenance),
@@ -213,13 +213,7 @@ impl Work<'_> {
     }
 
     fn record(&self, plan: &Plan) -> RunRecord {
-        RunRecord {
-            precision: plan.spec.precision.name().to_owned(),
-            method: plan.method().name().to_owned(),
-            rtol: plan.run.rtol,
-            atol: plan.atol,
-            ..self.session.record(&self.provenance)
-        }
+        self.session.record_of(plan, &self.provenance)
     }
 }
 

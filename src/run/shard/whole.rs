@@ -429,54 +429,51 @@ impl<'s> Whole<'s> {
 }
 
 /// The errors in a summary, by the root attributes that they have in results.
-fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
-    let errors = summary
-        .homotopy
-        .as_ref()
-        .and_then(|h| h.error_estimate.as_ref());
-    let Some(errors) = errors else {
-        return Ok(());
-    };
-    for (name, of) in [
-        ("V", &errors.value),
-        ("p", &errors.costate),
-        ("u", &errors.control),
-    ] {
-        let Some(of) = of else { continue };
-        for (ending, number) in [("", of.max), ("_p99", of.p99), ("_median", of.median)] {
-            if let Some(number) = number {
-                file.attribute(&format!("solved_error_estimate_{name}{ending}"), number)?;
+pub(super) fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
+    let write = |before: &str, errors: [&Option<Quantiles>; 3]| -> Result<(), RunError> {
+        for (name, of) in ["V", "p", "u"].into_iter().zip(errors) {
+            let Some(of) = of else { continue };
+            for (ending, number) in [("", of.max), ("_p99", of.p99), ("_median", of.median)] {
+                if let Some(number) = number {
+                    file.attribute(&format!("{before}error_estimate_{name}{ending}"), number)?;
+                }
             }
         }
+        Ok(())
+    };
+    if let Some(errors) = &summary.error_estimate {
+        write("", [&errors.value, &errors.costate, &errors.control])?;
+        file.attribute("error_estimate_trajectories", errors.trajectories as i64)?;
+        file.attribute("error_asked", errors.asked)?;
     }
-    file.attribute("solved_error_estimate_states", errors.states as i64)?;
-    file.attribute("solved_error_asked", errors.asked)?;
+    let solved = summary.homotopy.as_ref();
+    if let Some(errors) = solved.and_then(|h| h.error_estimate.as_ref()) {
+        write("solved_", [&errors.value, &errors.costate, &errors.control])?;
+        file.attribute("solved_error_estimate_states", errors.states as i64)?;
+        file.attribute("solved_error_asked", errors.asked)?;
+    }
     if let Some(met) = summary.error_met {
         file.attribute("error_met", i64::from(met))?;
     }
     Ok(())
 }
 
-/// The largest of the errors that parts have estimated: of medians, too.
+/// The larger of errors that two parts have estimated: of medians, too.
+pub(super) fn largest_of(a: Option<Quantiles>, b: Option<Quantiles>) -> Option<Quantiles> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.largest(b)),
+        (a, b) => a.or(b),
+    }
+}
+
+/// The largest of the errors that parts have estimated.
 fn largest(errors: &[SolvedErrors]) -> Option<SolvedErrors> {
-    let of = |a: Option<f64>, b: Option<f64>| match (a, b) {
-        (Some(a), Some(b)) => Some(a.max(b)),
-        (a, b) => a.or(b),
-    };
-    let both = |a: Option<Quantiles>, b: Option<Quantiles>| match (a, b) {
-        (Some(a), Some(b)) => Some(Quantiles {
-            median: of(a.median, b.median),
-            p99: of(a.p99, b.p99),
-            max: of(a.max, b.max),
-        }),
-        (a, b) => a.or(b),
-    };
     errors.iter().cloned().reduce(|a, b| SolvedErrors {
         states: a.states + b.states,
         failed: a.failed + b.failed,
-        value: both(a.value, b.value),
-        costate: both(a.costate, b.costate),
-        control: both(a.control, b.control),
+        value: largest_of(a.value, b.value),
+        costate: largest_of(a.costate, b.costate),
+        control: largest_of(a.control, b.control),
         met: match (a.met, b.met) {
             (Some(a), Some(b)) => Some(a && b),
             (a, b) => a.or(b),

@@ -34,6 +34,24 @@ impl Quantiles {
     pub fn of(values: &[f64]) -> Self {
         median_p99_max(values).into()
     }
+
+    /// The larger of each of two.
+    #[must_use]
+    pub(crate) fn largest(self, other: Self) -> Self {
+        Self {
+            median: Self::larger(self.median, other.median),
+            p99: Self::larger(self.p99, other.p99),
+            max: Self::larger(self.max, other.max),
+        }
+    }
+
+    /// The larger number; that which is known.
+    pub(crate) fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+        match (a, b) {
+            (Some(a), Some(b)) => Some(a.max(b)),
+            (a, b) => a.or(b),
+        }
+    }
 }
 
 impl From<[f64; 3]> for Quantiles {

@@ -29,7 +29,7 @@ use std::sync::Arc;
 #[derive(Clone, Copy)]
 pub enum Parts<'a> {
     All,
-    ShootOut,
+    ShootOut(&'a ShardArgs),
     Homotopy(&'a StatesArgs),
     Map(&'a StatesArgs),
     Solve(&'a SolveArgs),
@@ -122,7 +122,8 @@ impl<'a> Parts<'a> {
         match self {
             Parts::Solve(solve) => Some(solve.part),
             Parts::Homotopy(args) | Parts::Map(args) => Some(args.part),
-            Parts::All | Parts::ShootOut => None,
+            Parts::ShootOut(part) => Some(*part),
+            Parts::All => None,
         }
     }
 
@@ -131,7 +132,7 @@ impl<'a> Parts<'a> {
         let archive = match self {
             Parts::Solve(solve) => &solve.archive,
             Parts::Homotopy(args) | Parts::Map(args) => &args.archive,
-            Parts::All | Parts::ShootOut => return None,
+            Parts::All | Parts::ShootOut(_) => return None,
         };
         archive.archive.as_deref()
     }
@@ -140,7 +141,7 @@ impl<'a> Parts<'a> {
     pub fn wanted(self, args: &RunArgs, model: &Model) -> Result<Wanted, CliError> {
         let mut wanted = match self {
             Parts::All => Wanted::all(),
-            Parts::ShootOut => Wanted::sweep(),
+            Parts::ShootOut(_) => Wanted::sweep(),
             Parts::Homotopy(_) => Wanted::homotopy(),
             Parts::Map(_) => Wanted::map(),
             Parts::Solve(solve) => Wanted {

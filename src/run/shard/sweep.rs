@@ -1,0 +1,336 @@
+//! Parts of a sweep: each is one of the surface of seeds, and a file of trajectories like that of the
+//! whole.
+
+use super::super::{Provenance, RunError, in_json, trajectory_schema};
+use super::before::{Before, create_part};
+use super::manifest::{Asked, Kind, Manifest};
+use super::rows::{Layout, Rows, Sink};
+use super::source::Source;
+use super::whole::{Gaps, largest_of, note_gaps, write_errors};
+use super::{write_manifest, write_whole};
+use crate::hdf5::ResultFile;
+use crate::result::{RunRecord, ShardGroups, TrajectorySchema};
+use crate::schema;
+use crate::session::summary::{Quantiles, RunSummary, SweptErrors};
+use crate::session::{Kept, Session, Wanted};
+use crate::sweep::{Choices, FoldPoint, Plan};
+use std::path::{Path, PathBuf};
+
+/// Trajectories that are held at once.
+const AT_ONCE: usize = 1024;
+
+/// A sweep that is a part, or that counts as done when it is there.
+pub(in crate::run) struct PartOfSweep {
+    manifest: Manifest,
+    before: Before,
+    divided: bool,
+}
+
+impl PartOfSweep {
+    /// What is asked for, and what an earlier run has left of it.
+    ///
+    /// # Errors
+    /// Where there is something else.
+    pub fn new(
+        session: &Session<'_>,
+        wanted: &Wanted,
+        (plan, path): (&Plan, &Path),
+        provenance: &Provenance,
+    ) -> Result<Self, RunError> {
+        let manifest = Manifest::of_sweep(session, wanted, plan, provenance);
+        let mut before = Before::at(path, &manifest, wanted.resume)?;
+        if !before.sources.is_empty() {
+            session
+                .progress()
+                .note("a sweep that was ended before it was done begins again");
+        }
+        before.sources.clear();
+        Ok(Self {
+            divided: wanted.shard.is_some(),
+            manifest,
+            before,
+        })
+    }
+
+    /// What tells of the work, where it is done.
+    ///
+    /// # Errors
+    /// Of reading.
+    pub fn finished(&self, session: &Session<'_>) -> Result<Option<RunSummary>, RunError> {
+        let Some(stored) = &self.before.finished else {
+            return Ok(None);
+        };
+        self.before.note_finished(session);
+        self.before.clear(&self.manifest);
+        Ok(Some(stored.run_summary()?.unwrap_or_default()))
+    }
+
+    /// Begins its file.
+    ///
+    /// # Errors
+    /// Those of writing.
+    pub fn create(&self, path: &Path) -> Result<ResultFile, RunError> {
+        match self.divided {
+            true => create_part(path, &self.manifest),
+            false => Ok(ResultFile::create(path)?),
+        }
+    }
+
+    /// Notes in the file what it is, with so many trajectories; where it goes.
+    ///
+    /// # Errors
+    /// Those of writing.
+    pub fn note(
+        &mut self,
+        session: &Session<'_>,
+        file: &mut ResultFile,
+        (trajectories, stopped): (usize, bool),
+    ) -> Result<PathBuf, RunError> {
+        let to = self.before.place(session, &self.manifest, stopped);
+        if to != file.path() {
+            file.rename(to.clone());
+        }
+        if stopped {
+            file.attribute("stopped", 1i64)?;
+        }
+        if !self.divided {
+            write_whole(file, &self.manifest)?;
+            return Ok(to);
+        }
+        let count = |n: usize| i32::try_from(n).unwrap_or(i32::MAX);
+        file.shard(&ShardGroups {
+            number: vec![count(self.manifest.shard)],
+            done: vec![i32::from(!stopped)],
+            states: vec![count(trajectories)],
+            ..ShardGroups::default()
+        })?;
+        write_manifest(file, &self.manifest)?;
+        Ok(to)
+    }
+
+    /// Removes what an earlier run has left, once all is done.
+    pub fn done(&self) {
+        self.before.clear(&self.manifest);
+    }
+}
+
+impl Manifest {
+    /// Of a part of a sweep.
+    fn of_sweep(
+        session: &Session<'_>,
+        wanted: &Wanted,
+        plan: &Plan,
+        provenance: &Provenance,
+    ) -> Self {
+        let kept = match wanted.kept {
+            Kept::All => "with all that belongs to them",
+            Kept::Values => "x and V alone",
+            Kept::Nothing => "not stored",
+        };
+        let shards = wanted.shard.map_or(1, crate::session::Shard::of);
+        Self {
+            asked: Asked {
+                kept: Some(kept.to_owned()),
+                ..Asked::default()
+            },
+            precision: plan.spec.precision.name().to_owned(),
+            method: plan.method().name().to_owned(),
+            rtol: plan.rtol_asked,
+            ..Self::begun(Kind::Sweep, session, (wanted.shard, shards), provenance)
+        }
+    }
+}
+
+/// Puts parts of a sweep together, in the order of their numbers.
+///
+/// # Errors
+/// Of reading and writing.
+pub(super) fn assemble(
+    session: &Session<'_>,
+    sources: &[Source],
+    (gaps, out): (Gaps<'_>, &Path),
+    provenance: &Provenance,
+) -> Result<(PathBuf, RunSummary), RunError> {
+    let mut sources: Vec<&Source> = sources.iter().collect();
+    sources.sort_by_key(|source| source.manifest.shard);
+    let (first, model) = (sources[0], &session.scene().model);
+    let plan = session.plan(Choices {
+        rtol: Some(first.manifest.rtol),
+        ..Choices::default()
+    })?;
+    let schema = trajectory_schema(model, &plan);
+    let mut file = ResultFile::create(out)?;
+    let drift = write_trajectories(&mut file, &schema, &sources)?;
+    write_folds(&mut file, &schema, &sources)?;
+
+    let parts = sources
+        .iter()
+        .map(|source| Ok(source.stored.run_summary()?.unwrap_or_default()))
+        .collect::<Result<Vec<RunSummary>, RunError>>()?;
+    let mut summary = together(&parts);
+    summary.file = out.display().to_string();
+    summary.stopped = gaps.is_some();
+    if !drift.is_empty() {
+        summary.hamiltonian = Quantiles::of(&drift);
+    }
+    write_errors(&file, &summary)?;
+    file.attribute("summary", in_json(&summary))?;
+    if gaps.is_some() {
+        file.attribute("stopped", 1i64)?;
+    }
+    note_gaps(&file, gaps)?;
+    write_whole(&file, &first.manifest)?;
+    let record = |name: &str| first.stored.attribute(name).unwrap_or_default();
+    RunRecord {
+        backend: record("backend"),
+        adapter: record("adapter"),
+        precision: record("precision"),
+        method: record("method"),
+        rtol: summary.rtol,
+        atol: summary.atol,
+        wall_seconds: summary.wall_seconds,
+        ..provenance.record(model)
+    }
+    .write(&file)?;
+    Ok((file.finish()?, summary))
+}
+
+/// Writes the trajectories of all parts; |H| along each.
+fn write_trajectories(
+    file: &mut ResultFile,
+    schema: &TrajectorySchema,
+    sources: &[&Source],
+) -> Result<Vec<f64>, RunError> {
+    let mut drift = Vec::new();
+    let mut sink: Option<(Sink, Layout)> = None;
+    for source in sources {
+        let Some(group) = source.stored.group(&schema::TRAJECTORIES) else {
+            continue;
+        };
+        if sink.is_none() {
+            let layout = Layout::of(&group, &schema::TRAJECTORIES)?;
+            let of_values = group.column("V")?;
+            let schema = TrajectorySchema {
+                samples: of_values.inner.first().copied().unwrap_or(schema.samples),
+                values_only: match group.attribute(None, "stored") {
+                    Some(_) => Some([group.column("x")?.single, of_values.single]),
+                    None => None,
+                },
+                ..schema.clone()
+            };
+            let writer = file.group(&schema.group()?)?;
+            sink = Some((Sink::new(writer, layout.clone(), AT_ONCE, None), layout));
+        }
+        let Some((sink, layout)) = &mut sink else {
+            continue;
+        };
+        let mut rows = Rows::new(&group, layout, AT_ONCE)?;
+        let of_drift = layout.place("hamiltonian_drift");
+        while rows.at < rows.count {
+            if let Some(place) = of_drift {
+                drift.extend_from_slice(rows.reals(place)?);
+            }
+            sink.take(&mut rows)?;
+            sink.flush_if_full()?;
+            rows.advance();
+        }
+    }
+    if let Some((mut sink, _)) = sink {
+        sink.flush()?;
+    }
+    Ok(drift)
+}
+
+/// Writes the folds of all parts.
+fn write_folds(
+    file: &mut ResultFile,
+    schema: &TrajectorySchema,
+    sources: &[&Source],
+) -> Result<(), RunError> {
+    let n = schema.states.len();
+    let (mut folds, mut first) = (Vec::new(), 0);
+    for source in sources {
+        let damaged = || source.damaged(schema::CAUSTIC.name);
+        if let Some(group) = source.stored.group(&schema::CAUSTIC) {
+            let (x, p) = (group.f64("x")?.values, group.f64("p")?.values);
+            let (v, t) = (group.f64("V")?.values, group.f64("t")?.values);
+            let of = group.i32("trajectory")?.1;
+            if [x.len(), p.len()] != [of.len() * n; 2] || [v.len(), t.len()] != [of.len(); 2] {
+                return Err(damaged());
+            }
+            for (k, trajectory) in of.iter().enumerate() {
+                folds.push(FoldPoint {
+                    trajectory: first + usize::try_from(*trajectory).map_err(|_| damaged())?,
+                    t: t[k],
+                    x: x[k * n..(k + 1) * n].to_vec(),
+                    p: p[k * n..(k + 1) * n].to_vec(),
+                    value: v[k],
+                });
+            }
+        }
+        first += source
+            .states
+            .iter()
+            .map(|k| (*k).max(0) as usize)
+            .sum::<usize>();
+    }
+    Ok(file.caustic(schema, &folds)?)
+}
+
+/// The numbers of all parts: sums, and of errors the largest that a part has.
+fn together(parts: &[RunSummary]) -> RunSummary {
+    let mut all = parts[0].clone();
+    for part in &parts[1..] {
+        all.trajectories += part.trajectories;
+        all.trajectories_stored |= part.trajectories_stored;
+        for (status, count) in &part.status {
+            *all.status.entry(status.clone()).or_insert(0) += count;
+        }
+        let (here, there) = (&mut all.coverage, &part.coverage);
+        here.pairs += there.pairs;
+        here.gaps_for_want_of_seeds += there.gaps_for_want_of_seeds;
+        here.gaps_indistinguishable += there.gaps_indistinguishable;
+        here.gaps_crowded += there.gaps_crowded;
+        here.seeds_outside_guards += there.seeds_outside_guards;
+        here.widest_gap = Quantiles::larger(here.widest_gap, there.widest_gap);
+        all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);
+        all.hamiltonian_relative = all.hamiltonian_relative.largest(part.hamiltonian_relative);
+        all.error_estimate = match (all.error_estimate.take(), part.error_estimate.clone()) {
+            (Some(a), Some(b)) => Some(worse(a, b)),
+            (a, b) => a.or(b),
+        };
+        all.error_met = match (all.error_met, part.error_met) {
+            (Some(a), Some(b)) => Some(a && b),
+            (a, b) => a.or(b),
+        };
+        all.stiffness.stiff |= part.stiffness.stiff;
+        all.steps += part.steps;
+        all.rejected += part.rejected;
+        all.rounds = all.rounds.max(part.rounds);
+        all.integrate_seconds += part.integrate_seconds;
+        all.wall_seconds += part.wall_seconds;
+    }
+    all.trajectories_per_second = all.trajectories as f64 / all.integrate_seconds.max(1e-9);
+    all
+}
+
+/// The larger of errors that two parts have estimated.
+fn worse(a: SweptErrors, b: SweptErrors) -> SweptErrors {
+    SweptErrors {
+        trajectories: a.trajectories + b.trajectories,
+        failed: a.failed + b.failed,
+        points: a.points + b.points,
+        points_parted: a.points_parted + b.points_parted,
+        value: largest_of(a.value, b.value),
+        costate: largest_of(a.costate, b.costate),
+        control: largest_of(a.control, b.control),
+        slid_along_manifold: Quantiles::larger(a.slid_along_manifold, b.slid_along_manifold),
+        ended_differently: a.ended_differently + b.ended_differently,
+        met: match (a.met, b.met) {
+            (Some(a), Some(b)) => Some(a && b),
+            (a, b) => a.or(b),
+        },
+        seconds: a.seconds + b.seconds,
+        ..a
+    }
+}
