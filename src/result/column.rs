@@ -46,7 +46,11 @@ impl StoredColumn {
     /// # Errors
     /// [`StoredError::Object`] where they cannot be read.
     pub fn f64(&self, first: usize, count: usize) -> Result<Vec<f64>, StoredError> {
-        self.read(first, count)
+        if !self.single {
+            return self.read(first, count);
+        }
+        let numbers: Vec<f32> = self.read(first, count)?;
+        Ok(numbers.into_iter().map(f64::from).collect())
     }
 
     /// Some rows of integers.

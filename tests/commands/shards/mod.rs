@@ -6,6 +6,7 @@ mod elsewhere;
 mod levels;
 mod loops;
 mod resume;
+mod sweeps;
 
 use crate::common_commands::{in_schema, scenario, scratch};
 use costate::low_level::result::Stored;

@@ -18,6 +18,16 @@ pub fn merged(merged: &Merged) -> String {
             solved.sheets
         );
     }
+    let all = &merged.summary;
+    if all.trajectories > 0 {
+        let _ = write!(
+            text,
+            ": {} trajectories; {} gaps wider than {} remain",
+            all.trajectories,
+            all.coverage.gaps(),
+            all.coverage.spacing
+        );
+    }
     for (what, shards) in [
         ("missing", &merged.missing),
         ("not finished", &merged.unfinished),

@@ -4,7 +4,7 @@ use super::{counted, estimates};
 use costate::backend::{Backend, Status};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::median_p99_max;
-use costate::low_level::sweep::{Plan, Sampling, SweepReport};
+use costate::low_level::sweep::{Plan, Sampling, SurfacePart, SweepReport};
 use costate::low_level::value::{Answers, EqualCost, Evidence, PointStatus};
 use costate::session::summary::{by_status, relative_hamiltonian};
 use costate::session::{Estimates, Outcome};
@@ -255,11 +255,23 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
     let statuses = (swept.by_status.iter())
         .map(|(s, n)| format!("{n} {}", plan.status_name(*s).replace('_', " ")))
         .collect::<Vec<_>>();
-    let mut lines = vec![format!(
+    let whole = plan.part == SurfacePart::WHOLE;
+    let mut lines = Vec::new();
+    if !whole {
+        lines.push(format!(
+            "part {} (from 0) of {} of the surface of seeds",
+            plan.part.part, plan.part.parts
+        ));
+    }
+    if swept.trajectories == 0 {
+        lines.push("no trajectories: nothing of this part is to be swept".to_owned());
+        return lines;
+    }
+    lines.push(format!(
         "{} trajectories: {}",
         swept.trajectories,
         statuses.join(", ")
-    )];
+    ));
     let c = &swept.coverage;
     if c.outside_guards > 0 {
         lines.push(format!(
@@ -325,10 +337,14 @@ fn gaps_text(plan: &Plan, swept: &SweepReport) -> String {
     if c.uncovered > 0 && swept.stopped {
         reasons.push(format!("{} for want of time", c.uncovered));
     } else if c.uncovered > 0 {
-        reasons.push(format!(
-            "{} for want of seeds (max_seeds = {})",
-            c.uncovered, plan.shoot_out.max_seeds
-        ));
+        let most = plan.part.share(plan.shoot_out.max_seeds);
+        reasons.push(match plan.part == SurfacePart::WHOLE {
+            true => format!("{} for want of seeds (max_seeds = {most})", c.uncovered),
+            false => format!(
+                "{} for want of seeds ({most} are this part's share of max_seeds; one run would divide them otherwise)",
+                c.uncovered
+            ),
+        });
     }
     if c.indistinguishable > 0 {
         reasons.push(format!(
