@@ -155,11 +155,11 @@ fn parts_of_a_sweep_that_are_missing_are_named() {
         ],
     );
     assert_eq!(output.status.code(), Some(75), "{errors}");
-    let some = Stored::open(&folder.join("some.h5")).unwrap();
+    let some = Stored::open(folder.join("some.h5")).unwrap();
     assert_eq!(some.attribute("shards_missing").as_deref(), Some("1"));
     assert!(some.has_attribute("stopped"));
     let count = |part: &String| {
-        let stored = Stored::open(&folder.join(part)).unwrap();
+        let stored = Stored::open(folder.join(part)).unwrap();
         stored.trajectories().unwrap().unwrap().count
     };
     let merged = some.trajectories().unwrap().unwrap().count;
@@ -192,7 +192,7 @@ fn parts_of_a_sweep_share_the_cap() {
         "{told}"
     );
     let parts = shards(&folder, &command, 2);
-    let all = Stored::open(&merged(&folder, &parts, &[])).unwrap();
+    let all = Stored::open(merged(&folder, &parts, &[])).unwrap();
     let summary = all.run_summary().unwrap().unwrap();
     assert_eq!(summary.trajectories, 501);
     assert!(summary.coverage.gaps_for_want_of_seeds > 0);
