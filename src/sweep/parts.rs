@@ -75,18 +75,22 @@ impl First {
 /// the coordinate in which these differ most, to cells of equally many; each part has several, from
 /// all over the surface, for what a simplex takes differs much from place to place.
 fn swept(simplices: &[Vec<Vertex>], parameters: &[Vec<f64>], part: SurfacePart) -> Vec<bool> {
+    if part == SurfacePart::WHOLE {
+        return vec![true; simplices.len()];
+    }
+    let width = parameters.first().map_or(0, Vec::len);
     let centre = |simplex: &Vec<Vertex>| -> Vec<f64> {
-        let width = parameters.first().map_or(0, Vec::len);
         (0..width)
             .map(|k| (simplex.iter().map(|v| parameters[*v as usize][k])).sum())
             .collect()
     };
     let centres: Vec<Vec<f64>> = simplices.iter().map(centre).collect();
-    let mut is_in = vec![part == SurfacePart::WHOLE; simplices.len()];
-    let mut open: Vec<(Vec<usize>, usize, usize)> = match part == SurfacePart::WHOLE {
-        true => Vec::new(),
-        false => vec![((0..simplices.len()).collect(), 0, CELLS * part.parts)],
-    };
+    let mut is_in = vec![false; simplices.len()];
+    let mut open = vec![(
+        (0..simplices.len()).collect::<Vec<_>>(),
+        0,
+        CELLS * part.parts,
+    )];
     while let Some((mut some, first, cells)) = open.pop() {
         // Cells from `first` on, of which the part has every so many-th one.
         if cells == 1 {
@@ -101,7 +105,6 @@ fn swept(simplices: &[Vec<Vertex>], parameters: &[Vec<f64>], part: SurfacePart) 
             });
             hi - lo
         };
-        let width = parameters.first().map_or(0, Vec::len);
         let axis = (0..width).max_by(|a, b| extent(a).total_cmp(&extent(b)).then(b.cmp(a)));
         let along = axis.unwrap_or(0);
         some.sort_by(|a, b| {

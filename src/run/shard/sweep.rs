@@ -6,10 +6,10 @@ use super::before::{Before, create_part};
 use super::manifest::{Asked, Kind, Manifest};
 use super::rows::{Layout, Rows, Sink};
 use super::source::Source;
-use super::whole::{Gaps, largest_of, note_gaps, write_errors};
+use super::whole::{Gaps, both_met, largest_of, note_gaps, record, write_errors};
 use super::{write_manifest, write_whole};
 use crate::hdf5::ResultFile;
-use crate::result::{RunRecord, ShardGroups, TrajectorySchema};
+use crate::result::{ShardGroups, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::{Quantiles, RunSummary, SweptErrors};
 use crate::session::{Kept, Session, Wanted};
@@ -180,18 +180,7 @@ pub(super) fn assemble(
     }
     note_gaps(&file, gaps)?;
     write_whole(&file, &first.manifest)?;
-    let record = |name: &str| first.stored.attribute(name).unwrap_or_default();
-    RunRecord {
-        backend: record("backend"),
-        adapter: record("adapter"),
-        precision: record("precision"),
-        method: record("method"),
-        rtol: summary.rtol,
-        atol: summary.atol,
-        wall_seconds: summary.wall_seconds,
-        ..provenance.record(model)
-    }
-    .write(&file)?;
+    record(first, &summary, provenance).write(&file)?;
     Ok((file.finish()?, summary))
 }
 
@@ -299,10 +288,7 @@ fn together(parts: &[RunSummary]) -> RunSummary {
             (Some(a), Some(b)) => Some(worse(a, b)),
             (a, b) => a.or(b),
         };
-        all.error_met = match (all.error_met, part.error_met) {
-            (Some(a), Some(b)) => Some(a && b),
-            (a, b) => a.or(b),
-        };
+        all.error_met = both_met(all.error_met, part.error_met);
         all.stiffness.stiff |= part.stiffness.stiff;
         all.steps += part.steps;
         all.rejected += part.rejected;
@@ -326,10 +312,7 @@ fn worse(a: SweptErrors, b: SweptErrors) -> SweptErrors {
         control: largest_of(a.control, b.control),
         slid_along_manifold: Quantiles::larger(a.slid_along_manifold, b.slid_along_manifold),
         ended_differently: a.ended_differently + b.ended_differently,
-        met: match (a.met, b.met) {
-            (Some(a), Some(b)) => Some(a && b),
-            (a, b) => a.or(b),
-        },
+        met: both_met(a.met, b.met),
         seconds: a.seconds + b.seconds,
         ..a
     }

@@ -99,19 +99,23 @@ pub(super) fn assemble(
             super::write_whole(&file, whole.manifest)?;
         }
     }
-    let record = |name: &str| sources[0].stored.attribute(name).unwrap_or_default();
+    record(&sources[0], &summary, provenance).write(&file)?;
+    Ok((file.finish()?, summary))
+}
+
+/// The record of a whole: what the first part was integrated by, and how long all took.
+pub(super) fn record(first: &Source, summary: &RunSummary, provenance: &Provenance) -> RunRecord {
+    let of = |name: &str| first.stored.attribute(name).unwrap_or_default();
     RunRecord {
-        backend: record("backend"),
-        adapter: record("adapter"),
-        precision: record("precision"),
-        method: record("method"),
+        backend: of("backend"),
+        adapter: of("adapter"),
+        precision: of("precision"),
+        method: of("method"),
         rtol: summary.rtol,
         atol: summary.atol,
         wall_seconds: summary.wall_seconds,
-        ..provenance.record(model)
+        ..provenance.record(&first.stored.scene.model)
     }
-    .write(&file)?;
-    Ok((file.finish()?, summary))
 }
 
 /// What all parts are of.
@@ -466,6 +470,14 @@ pub(super) fn largest_of(a: Option<Quantiles>, b: Option<Quantiles>) -> Option<Q
     }
 }
 
+/// Whether errors are met in two parts, as far as that is known.
+pub(super) fn both_met(a: Option<bool>, b: Option<bool>) -> Option<bool> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a && b),
+        (a, b) => a.or(b),
+    }
+}
+
 /// The largest of the errors that parts have estimated.
 fn largest(errors: &[SolvedErrors]) -> Option<SolvedErrors> {
     errors.iter().cloned().reduce(|a, b| SolvedErrors {
@@ -474,10 +486,7 @@ fn largest(errors: &[SolvedErrors]) -> Option<SolvedErrors> {
         value: largest_of(a.value, b.value),
         costate: largest_of(a.costate, b.costate),
         control: largest_of(a.control, b.control),
-        met: match (a.met, b.met) {
-            (Some(a), Some(b)) => Some(a && b),
-            (a, b) => a.or(b),
-        },
+        met: both_met(a.met, b.met),
         seconds: a.seconds + b.seconds,
         ..a
     })
