@@ -612,8 +612,12 @@ impl<'a> Fronts<'a> {
                 }
                 self.split(&edges);
             }
-            if !self.placed_outside {
-                return Ok(!(self.pending.is_empty() && self.borrowed.is_empty()));
+            let idle = self.pending.is_empty() && self.borrowed.is_empty();
+            if idle && !self.held.is_empty() && self.room() > 0 {
+                // Those that they waited for got no seed either.
+                self.judge()?;
+            } else if !self.placed_outside {
+                return Ok(!idle);
             }
         }
     }
