@@ -219,9 +219,13 @@ impl Session<'_> {
         write_estimates(&file, &outcome.estimates)?;
         let mut summary = self.summary(&outcome, &path, provenance.seconds());
         file.attribute("summary", in_json(&summary))?;
-        path = file.finish()?;
-        if let Some(part) = part.filter(|_| !outcome.stopped) {
-            part.done();
+        let there = file.finish()?;
+        if let Some(part) = part {
+            // Beside its name, where another shard has come there meanwhile; that of a draft is hidden.
+            path = there;
+            if !outcome.stopped {
+                part.done();
+            }
         }
         self.progress().finished(Finished::Solved(&outcome, model));
 
