@@ -3,7 +3,7 @@
 
 use super::{Known, ValueMap};
 use crate::backend::Status;
-use crate::sweep::{Plan, Sampling};
+use crate::sweep::{self, Plan, Sampling};
 use crate::trajectories::SweptTrajectories;
 
 /// What a value's being the least rests on. The error estimate covers no sheet that was not found.
@@ -59,6 +59,9 @@ pub struct Fronts {
     /// Gaps wider than the spacing that remained, and the widest, in widths of the region.
     pub gaps: u64,
     pub widest: f64,
+    /// How much of the region trajectories go from one front to the next, where that is too much to
+    /// tell of what is between.
+    pub far: Option<f64>,
     /// Trajectories whose integration failed.
     pub failed: u64,
     /// V below which there are no gaps; 0 where it is not known.
@@ -73,13 +76,14 @@ impl Fronts {
             searched: known.searched,
             gaps: known.sweep.gaps.unwrap_or(u64::MAX),
             widest: known.sweep.widest,
+            far: Some(known.sweep.step).filter(|step| sweep::Coverage::is_far(*step)),
             failed: known.sweep.failed,
             below: 0.0,
         };
         if let Some(swept) = known
             .swept
             .as_ref()
-            .filter(|_| this.gaps > 0 || this.failed > 0)
+            .filter(|_| !this.are_covered() && this.far.is_none())
         {
             this.below = covered_below(swept, plan).unwrap_or(0.0);
         }
@@ -88,7 +92,11 @@ impl Fronts {
 
     /// Whether fronts up to this V have no gaps.
     pub(super) fn cover(&self, v: f64) -> bool {
-        self.swept && (self.gaps == 0 && self.failed == 0 || v <= self.below)
+        self.swept && (self.are_covered() || v <= self.below)
+    }
+
+    fn are_covered(&self) -> bool {
+        self.gaps == 0 && self.failed == 0 && self.far.is_none()
     }
 }
 

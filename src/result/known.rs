@@ -107,11 +107,7 @@ impl Stored {
 /// From the summary of the run that made the file.
 fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
     let Some(summary) = summary else {
-        return SweepRecord {
-            gaps: None,
-            widest: f64::NAN,
-            failed: 0,
-        };
+        return SweepRecord::default();
     };
     let coverage = &summary.coverage;
     let failed = (Status::ALL.iter())
@@ -120,6 +116,7 @@ fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
     SweepRecord {
         gaps: Some(coverage.gaps() as u64),
         widest: coverage.widest_gap.unwrap_or(f64::NAN),
+        step: coverage.longest_step.unwrap_or(f64::NAN),
         failed: failed.map(|n| *n as u64).sum(),
     }
 }

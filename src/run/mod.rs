@@ -47,12 +47,11 @@ use crate::hdf5::ResultFile;
 use crate::model::Model;
 use crate::result::{RunRecord, Stored, TrajectorySchema};
 use crate::schema;
-use crate::session::summary::RunSummary;
+use crate::session::summary::{Quantiles, RunSummary};
 use crate::session::{
-    Estimates, Finished, Kept, Outcome, Pass, Resume, Session, SessionError, States, Wanted,
+    Finished, Kept, Outcome, Pass, Resume, Session, SessionError, States, Wanted,
 };
 use crate::sweep::Plan;
-use crate::sweep::accuracy::Spread;
 use std::path::{Path, PathBuf};
 use std::time::{Instant, SystemTime};
 
@@ -216,8 +215,8 @@ impl Session<'_> {
         } = output;
         let record = self.record_of(&outcome.plan, provenance);
         record.write(&file)?;
-        write_estimates(&file, &outcome.estimates)?;
         let mut summary = self.summary(&outcome, &path, provenance.seconds());
+        write_errors(&file, &summary)?;
         file.attribute("summary", in_json(&summary))?;
         let there = file.finish()?;
         if let Some(part) = part {
@@ -450,30 +449,31 @@ fn write_sampled(
     Ok(())
 }
 
-/// Root attributes with the estimated errors; those that are not known are left out.
-fn write_estimates(file: &ResultFile, estimates: &Estimates) -> Result<(), RunError> {
-    let spread = |name: &str, spread: Option<Spread>| -> Result<(), RunError> {
-        let Some(s) = spread else { return Ok(()) };
-        file.attribute(name, s.worst)?;
-        file.attribute(&format!("{name}_p99"), s.p99)?;
-        file.attribute(&format!("{name}_median"), s.median)?;
+/// Root attributes with the estimated errors, by a summary; those that are not known are left out.
+pub(super) fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
+    let write = |before: &str, errors: [&Option<Quantiles>; 3]| -> Result<(), RunError> {
+        for (name, of) in ["V", "p", "u"].into_iter().zip(errors) {
+            let Some(of) = of else { continue };
+            for (ending, number) in [("", of.max), ("_p99", of.p99), ("_median", of.median)] {
+                // Where something could not be compared the error is not finite.
+                let number = number.unwrap_or(f64::INFINITY);
+                file.attribute(&format!("{before}error_estimate_{name}{ending}"), number)?;
+            }
+        }
         Ok(())
     };
-    if let Some(a) = &estimates.swept {
-        spread("error_estimate_V", a.value)?;
-        spread("error_estimate_p", a.costate)?;
-        spread("error_estimate_u", a.control)?;
-        file.attribute("error_estimate_trajectories", a.sampled as i64)?;
-        file.attribute("error_asked", a.bound)?;
+    if let Some(errors) = &summary.error_estimate {
+        write("", [&errors.value, &errors.costate, &errors.control])?;
+        file.attribute("error_estimate_trajectories", errors.trajectories as i64)?;
+        file.attribute("error_asked", errors.asked)?;
     }
-    if let Some(a) = &estimates.solved {
-        spread("solved_error_estimate_V", a.value)?;
-        spread("solved_error_estimate_p", a.costate)?;
-        spread("solved_error_estimate_u", a.control)?;
-        file.attribute("solved_error_estimate_states", a.sampled as i64)?;
-        file.attribute("solved_error_asked", a.bound)?;
+    let solved = summary.homotopy.as_ref();
+    if let Some(errors) = solved.and_then(|h| h.error_estimate.as_ref()) {
+        write("solved_", [&errors.value, &errors.costate, &errors.control])?;
+        file.attribute("solved_error_estimate_states", errors.states as i64)?;
+        file.attribute("solved_error_asked", errors.asked)?;
     }
-    if let Some(met) = estimates.met() {
+    if let Some(met) = summary.error_met {
         file.attribute("error_met", i64::from(met))?;
     }
     Ok(())

@@ -2,15 +2,27 @@
 
 use super::{Along, Group, Unit, along, integer, real, text};
 
-/// The blocks of states that a shard has solved for.
+/// The blocks of states that a shard has solved for, or its part of a sweep.
 pub static SHARD: Group = Group {
     name: "shard",
-    title: "blocks of states that this part of the whole has, for costate merge",
+    title: "blocks of states, or the part of a sweep, that this part of the whole has, for costate merge",
     dimensions: &[along("block", Along::Rows, "place in this file")],
     variables: &[
-        integer("number", &["block"], "number among all blocks"),
-        integer("done", &["block"], "1 where it was searched to the end"),
-        integer("states", &["block"], "different states in it"),
+        integer(
+            "number",
+            &["block"],
+            "number among all blocks; of a sweep the shard's",
+        ),
+        integer(
+            "done",
+            &["block"],
+            "1 where it was searched, or swept, to the end",
+        ),
+        integer(
+            "states",
+            &["block"],
+            "different states in it; of a sweep its trajectories",
+        ),
     ],
     attributes: &[],
 };

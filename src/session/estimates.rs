@@ -1,5 +1,6 @@
 //! The errors of a pass, and rates too far apart for its methods.
 
+use super::summary::all_met;
 use crate::backend::BackendError;
 use crate::sweep::accuracy::{self, Accuracy};
 use crate::sweep::stiffness::{self, HeldSteps, Segments, Separation};
@@ -56,10 +57,6 @@ impl Estimates {
     pub fn met(&self) -> Option<bool> {
         let swept = self.swept.as_ref().map(Accuracy::met);
         let solved = self.solved.as_ref().map(SolvedAccuracy::met);
-        let all: Vec<Option<bool>> = swept.into_iter().chain(solved).collect();
-        if all.contains(&Some(false)) {
-            return Some(false);
-        }
-        (!all.is_empty() && all.iter().all(Option::is_some)).then_some(true)
+        all_met(&swept.into_iter().chain(solved).collect::<Vec<_>>())
     }
 }

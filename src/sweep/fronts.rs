@@ -53,6 +53,9 @@ const MOVED: u16 = 4;
 const HALVINGS: u16 = 56;
 const FOR_A_STATE: u16 = 4;
 
+/// Fronts are far apart where a trajectory goes more of the region from one to the next.
+const FAR: f64 = 0.5;
+
 /// How well the fronts are covered.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Coverage {
@@ -65,6 +68,9 @@ pub struct Coverage {
     pub crowded: usize,
     /// The widest gap left among these, as a fraction of the region's box.
     pub widest: f64,
+    /// The longest way of a trajectory within the region from one front to the next, in widths of
+    /// the region: nothing is compared on it.
+    pub step: f64,
     /// Pairs looked at.
     pub pairs: usize,
     /// Seeds outside a guard, which were not swept.
@@ -77,12 +83,21 @@ impl Coverage {
     pub fn gaps(&self) -> usize {
         self.uncovered + self.indistinguishable + self.crowded
     }
+
+    /// Whether fronts lie too far apart to tell of what is between them, if trajectories go so much
+    /// of the region from one to the next.
+    #[must_use]
+    pub fn is_far(step: f64) -> bool {
+        step > FAR
+    }
 }
 
 /// What a sweep did.
 #[derive(Clone, Debug, Default)]
 pub struct SweepReport {
     pub trajectories: usize,
+    /// How many more were swept that another part of the surface reports.
+    pub borrowed: usize,
     /// Status code (see [`Plan::status_flags`]) and how many ended so.
     pub by_status: BTreeMap<i32, usize>,
     pub coverage: Coverage,
@@ -381,6 +396,7 @@ impl<'a> Fronts<'a> {
         let dim = plan.spec.dim();
         let most = batch_limit(dim, plan.run.levels.len()).min(kernel.preferred_batch());
         let borrowed = std::mem::take(&mut self.borrowed);
+        self.report.borrowed += borrowed.len();
         for vertices in borrowed.chunks(most) {
             self.integrate_some(kernel, vertices)?;
             let width = self.nodes.path_width();
@@ -468,15 +484,20 @@ impl<'a> Fronts<'a> {
                 })
                 .collect();
             let memory = || (observe::Scratch::default(), vec![0.0; width]);
-            (strips.into_par_iter().enumerate()).for_each_init(
-                memory,
-                |(scratch, path), (k, (mut strip, slots))| {
+            let seeds = &self.seeds;
+            let step = (strips.into_par_iter().enumerate())
+                .map_init(memory, |(scratch, path), (k, (mut strip, slots))| {
                     observed.strip(plan, batch, k * STRIP, &mut strip, scratch);
+                    let mut longest = 0.0f64;
                     for (i, slot) in slots.iter_mut().enumerate() {
-                        record(plan, batch, k * STRIP + i, path, slot);
+                        let i = k * STRIP + i;
+                        record(plan, batch, i, path, slot);
+                        longest = longest.max(step(plan, &seeds[i * batch.dim..], batch, i));
                     }
-                },
-            );
+                    longest
+                })
+                .reduce(|| 0.0, f64::max);
+            report.coverage.step = report.coverage.step.max(step);
         }
         report.trajectories += count;
         report.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
@@ -845,6 +866,30 @@ impl<'a> Fronts<'a> {
 /// The square of the distance between two parameters.
 fn square(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
+}
+
+/// The longest way of trajectory `i` of a batch from one front to the next, of what lies in the
+/// region, in its widths.
+fn step(plan: &Plan, seed: &[f64], batch: &Trajectories, i: usize) -> f64 {
+    let n = plan.system.states;
+    let within = |k: usize, x: f64| match plan.periodic[k] {
+        true => x,
+        false => x.clamp(plan.region[k][0], plan.region[k][1]),
+    };
+    let way = |x: &[f64], y: &[f64]| {
+        (0..n)
+            .map(|k| (within(k, x[k]) - within(k, y[k])).abs() / plan.widths[k])
+            .fold(0.0, f64::max)
+    };
+    let fronts = (plan.inner..batch.levels)
+        .map(|level| &batch.sample(i, level)[1..=n])
+        .take_while(|x| !x[0].is_nan());
+    let (mut longest, mut at) = (0.0f64, &seed[..n]);
+    for x in fronts.chain([&batch.end[i * batch.dim..][..n]]) {
+        longest = longest.max(way(at, x));
+        at = x;
+    }
+    longest
 }
 
 /// Keeps what the neighbours of trajectory `i` of a batch are compared with; `path` is memory.

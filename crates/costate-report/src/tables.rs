@@ -333,8 +333,11 @@ impl Figures {
         });
         self.add(
             "Fronts",
-            match open {
-                0 => "covered".to_owned(),
+            match (open, gaps.far()) {
+                (0, None) => "covered".to_owned(),
+                (0, Some(step)) => {
+                    format!("{} of the region apart", significant(step, 3))
+                }
                 _ => format!("{open} gaps left{widest}"),
             },
         );

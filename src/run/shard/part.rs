@@ -1,8 +1,8 @@
 //! A run of which what is done can be kept, and gone on with: a part of the whole, or all of it.
 
 use super::super::{
-    Done, LawsDone, Provenance, RunError, in_json, trajectory_schema, write_estimates,
-    write_outcome, write_sampled,
+    Done, LawsDone, Provenance, RunError, in_json, trajectory_schema, write_errors, write_outcome,
+    write_sampled,
 };
 use super::before::{Before, create_part, note_kept};
 use super::manifest::Manifest;
@@ -136,8 +136,8 @@ impl Work<'_> {
         if sources.is_empty() && !outcome.stopped && self.wanted.shard.is_none() {
             let mut file = ResultFile::create(to)?;
             write_outcome(&mut file, outcome, model, &self.schema)?;
-            write_estimates(&file, &outcome.estimates)?;
             let summary = self.summary(outcome, to);
+            write_errors(&file, &summary)?;
             file.attribute("summary", in_json(&summary))?;
             write_whole(&file, &self.manifest)?;
             self.record(&outcome.plan).write(&file)?;
@@ -146,7 +146,6 @@ impl Work<'_> {
         let states = (&outcome.plan, answers, part);
         let mut more = |file: &mut ResultFile| {
             write_sampled(file, outcome, &self.schema)?;
-            write_estimates(file, &outcome.estimates)?;
             // Whoever looks at the map of a run that was ended finds it.
             if let (Some(targets), None) = (&outcome.targets, self.wanted.shard)
                 && let Some(grid) = targets.map_grid().filter(|_| has_all(part))
@@ -202,6 +201,7 @@ impl Work<'_> {
         }
         let summary = more(&mut file)?;
         if let Some(summary) = &summary {
+            write_errors(&file, summary)?;
             file.attribute("summary", in_json(summary))?;
         }
         self.record(plan).write(&file)?;

@@ -1,17 +1,17 @@
 //! Parts of a sweep: each is one of the surface of seeds, and a file of trajectories like that of the
 //! whole.
 
-use super::super::{Provenance, RunError, in_json, trajectory_schema};
+use super::super::{Provenance, RunError, in_json, trajectory_schema, write_errors};
 use super::before::{Before, create_part};
 use super::manifest::{Asked, Kind, Manifest};
 use super::rows::{Layout, Rows, Sink};
 use super::source::Source;
-use super::whole::{Gaps, both_met, largest_of, note_gaps, record, write_errors};
+use super::whole::{Gaps, note_gaps, record};
 use super::{write_manifest, write_whole};
 use crate::hdf5::ResultFile;
 use crate::result::{ShardGroups, TrajectorySchema};
 use crate::schema;
-use crate::session::summary::{Quantiles, RunSummary, SweptErrors};
+use crate::session::summary::{Quantiles, RunSummary, larger};
 use crate::session::{Kept, Session, Wanted};
 use crate::sweep::{Choices, FoldPoint, Plan};
 use std::path::{Path, PathBuf};
@@ -268,9 +268,15 @@ fn write_folds(
 
 /// The numbers of all parts: sums, and of errors the largest that a part has.
 fn together(parts: &[RunSummary]) -> RunSummary {
-    let mut all = parts[0].clone();
-    for part in &parts[1..] {
+    // What is told of no trajectories says nothing of those of the others.
+    let (some, none): (Vec<_>, Vec<_>) = parts.iter().partition(|part| part.trajectories > 0);
+    let mut parts = some.into_iter().chain(none);
+    let Some(mut all) = parts.next().cloned() else {
+        return RunSummary::default();
+    };
+    for part in parts {
         all.trajectories += part.trajectories;
+        all.trajectories_borrowed += part.trajectories_borrowed;
         all.trajectories_stored |= part.trajectories_stored;
         for (status, count) in &part.status {
             *all.status.entry(status.clone()).or_insert(0) += count;
@@ -281,14 +287,17 @@ fn together(parts: &[RunSummary]) -> RunSummary {
         here.gaps_indistinguishable += there.gaps_indistinguishable;
         here.gaps_crowded += there.gaps_crowded;
         here.seeds_outside_guards += there.seeds_outside_guards;
-        here.widest_gap = Quantiles::larger(here.widest_gap, there.widest_gap);
-        all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);
-        all.hamiltonian_relative = all.hamiltonian_relative.largest(part.hamiltonian_relative);
+        here.widest_gap = larger(here.widest_gap, there.widest_gap);
+        here.longest_step = larger(here.longest_step, there.longest_step);
+        if part.trajectories > 0 {
+            all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);
+            let relative = all.hamiltonian_relative.largest(part.hamiltonian_relative);
+            all.hamiltonian_relative = relative;
+        }
         all.error_estimate = match (all.error_estimate.take(), part.error_estimate.clone()) {
-            (Some(a), Some(b)) => Some(worse(a, b)),
+            (Some(a), Some(b)) => Some(a.largest(b)),
             (a, b) => a.or(b),
         };
-        all.error_met = both_met(all.error_met, part.error_met);
         all.stiffness.stiff |= part.stiffness.stiff;
         all.steps += part.steps;
         all.rejected += part.rejected;
@@ -296,24 +305,7 @@ fn together(parts: &[RunSummary]) -> RunSummary {
         all.integrate_seconds += part.integrate_seconds;
         all.wall_seconds += part.wall_seconds;
     }
+    all.error_met = all.met();
     all.trajectories_per_second = all.trajectories as f64 / all.integrate_seconds.max(1e-9);
     all
-}
-
-/// The larger of errors that two parts have estimated.
-fn worse(a: SweptErrors, b: SweptErrors) -> SweptErrors {
-    SweptErrors {
-        trajectories: a.trajectories + b.trajectories,
-        failed: a.failed + b.failed,
-        points: a.points + b.points,
-        points_parted: a.points_parted + b.points_parted,
-        value: largest_of(a.value, b.value),
-        costate: largest_of(a.costate, b.costate),
-        control: largest_of(a.control, b.control),
-        slid_along_manifold: Quantiles::larger(a.slid_along_manifold, b.slid_along_manifold),
-        ended_differently: a.ended_differently + b.ended_differently,
-        met: both_met(a.met, b.met),
-        seconds: a.seconds + b.seconds,
-        ..a
-    }
 }

@@ -1,6 +1,6 @@
 //! The whole, or a larger part, of some parts.
 
-use super::super::{Provenance, RunError, in_json};
+use super::super::{Provenance, RunError, in_json, write_errors};
 use super::before::create_part;
 use super::manifest::Manifest;
 use super::merge::listed;
@@ -387,14 +387,12 @@ impl<'s> Whole<'s> {
         let mut parts: Vec<RunSummary> = (self.sources.iter())
             .filter_map(|source| source.stored.run_summary().ok().flatten())
             .collect();
-        let errors: Vec<SolvedErrors> = (parts.iter())
+        let errors = (parts.iter())
             .filter_map(|part| part.homotopy.as_ref()?.error_estimate.clone())
-            .collect();
+            .reduce(SolvedErrors::largest);
         let seconds: f64 = self.seams.iter().map(|s| s.seconds).sum();
         let distinct: i32 = self.groups(ShardGroups::default()).states.iter().sum();
         let wall: f64 = parts.iter().map(|part| part.wall_seconds).sum();
-        let met = parts.iter().map(|part| part.error_met);
-        let met: Vec<Option<bool>> = met.collect();
         let solved = SolvedSummary {
             states: self.manifest.asked.rows,
             distinct: distinct.max(0) as usize,
@@ -405,7 +403,7 @@ impl<'s> Whole<'s> {
             fold_points: edges.folds.len(),
             largest_residual: counted.residual,
             hamiltonian_relative: Quantiles::of(&counted.hamiltonian),
-            error_estimate: largest(&errors),
+            error_estimate: errors,
             integrations: self.seams.iter().map(|s| s.evaluations).sum(),
             seconds,
             states_per_second: f64::from(distinct) / seconds.max(1e-9),
@@ -414,7 +412,7 @@ impl<'s> Whole<'s> {
             true => RunSummary::default(),
             false => parts.swap_remove(0),
         };
-        RunSummary {
+        let mut all = RunSummary {
             title: self.model.title.clone(),
             file: out.display().to_string(),
             backend: self.manifest.backend.clone(),
@@ -423,71 +421,9 @@ impl<'s> Whole<'s> {
             stopped,
             homotopy: Some(solved),
             wall_seconds: wall,
-            error_met: match met.contains(&Some(false)) {
-                true => Some(false),
-                false => met.iter().copied().flatten().next(),
-            },
             ..first
-        }
+        };
+        all.error_met = all.met();
+        all
     }
-}
-
-/// The errors in a summary, by the root attributes that they have in results.
-pub(super) fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
-    let write = |before: &str, errors: [&Option<Quantiles>; 3]| -> Result<(), RunError> {
-        for (name, of) in ["V", "p", "u"].into_iter().zip(errors) {
-            let Some(of) = of else { continue };
-            for (ending, number) in [("", of.max), ("_p99", of.p99), ("_median", of.median)] {
-                if let Some(number) = number {
-                    file.attribute(&format!("{before}error_estimate_{name}{ending}"), number)?;
-                }
-            }
-        }
-        Ok(())
-    };
-    if let Some(errors) = &summary.error_estimate {
-        write("", [&errors.value, &errors.costate, &errors.control])?;
-        file.attribute("error_estimate_trajectories", errors.trajectories as i64)?;
-        file.attribute("error_asked", errors.asked)?;
-    }
-    let solved = summary.homotopy.as_ref();
-    if let Some(errors) = solved.and_then(|h| h.error_estimate.as_ref()) {
-        write("solved_", [&errors.value, &errors.costate, &errors.control])?;
-        file.attribute("solved_error_estimate_states", errors.states as i64)?;
-        file.attribute("solved_error_asked", errors.asked)?;
-    }
-    if let Some(met) = summary.error_met {
-        file.attribute("error_met", i64::from(met))?;
-    }
-    Ok(())
-}
-
-/// The larger of errors that two parts have estimated: of medians, too.
-pub(super) fn largest_of(a: Option<Quantiles>, b: Option<Quantiles>) -> Option<Quantiles> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a.largest(b)),
-        (a, b) => a.or(b),
-    }
-}
-
-/// Whether errors are met in two parts, as far as that is known.
-pub(super) fn both_met(a: Option<bool>, b: Option<bool>) -> Option<bool> {
-    match (a, b) {
-        (Some(a), Some(b)) => Some(a && b),
-        (a, b) => a.or(b),
-    }
-}
-
-/// The largest of the errors that parts have estimated.
-fn largest(errors: &[SolvedErrors]) -> Option<SolvedErrors> {
-    errors.iter().cloned().reduce(|a, b| SolvedErrors {
-        states: a.states + b.states,
-        failed: a.failed + b.failed,
-        value: largest_of(a.value, b.value),
-        costate: largest_of(a.costate, b.costate),
-        control: largest_of(a.control, b.control),
-        met: both_met(a.met, b.met),
-        seconds: a.seconds + b.seconds,
-        ..a
-    })
 }

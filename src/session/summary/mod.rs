@@ -13,8 +13,8 @@ use super::{Estimates, Outcome, Session};
 use crate::map::{Adaptive, Agreement};
 use crate::model::Model;
 use crate::numeric::quantile::median_p99_max;
-use crate::sweep::Plan;
 use crate::sweep::accuracy::Spread;
+use crate::sweep::{Coverage, Plan};
 use crate::value::{Answers, PointStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -39,19 +39,32 @@ impl Quantiles {
     #[must_use]
     pub(crate) fn largest(self, other: Self) -> Self {
         Self {
-            median: Self::larger(self.median, other.median),
-            p99: Self::larger(self.p99, other.p99),
-            max: Self::larger(self.max, other.max),
+            median: larger(self.median, other.median),
+            p99: larger(self.p99, other.p99),
+            max: larger(self.max, other.max),
         }
     }
+}
 
-    /// The larger number; that which is known.
-    pub(crate) fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
-        match (a, b) {
-            (Some(a), Some(b)) => Some(a.max(b)),
-            (a, b) => a.or(b),
-        }
+/// The larger of two numbers; what is not finite is larger than any that is.
+pub(crate) fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
+    Some(a?.max(b?))
+}
+
+/// The larger of two, where there are both.
+fn largest(a: Option<Quantiles>, b: Option<Quantiles>) -> Option<Quantiles> {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.largest(b)),
+        (a, b) => a.or(b),
     }
+}
+
+/// Whether all bounds were met; `None` where that is not known of one, and of the others no worse.
+pub(super) fn all_met(met: &[Option<bool>]) -> Option<bool> {
+    if met.contains(&Some(false)) {
+        return Some(false);
+    }
+    (!met.is_empty() && met.iter().all(Option::is_some)).then_some(true)
 }
 
 impl From<[f64; 3]> for Quantiles {
@@ -91,6 +104,9 @@ pub struct RunSummary {
     pub laws_stopped: bool,
     /// How many trajectories were swept.
     pub trajectories: usize,
+    /// How many more a part of a sweep has swept that another part reports.
+    #[serde(default)]
+    pub trajectories_borrowed: usize,
     /// Whether they are in the file; else they only gave first guesses.
     pub trajectories_stored: bool,
     /// How many trajectories ended with each status.
@@ -144,6 +160,9 @@ pub struct CoverageSummary {
     #[serde(default)]
     pub gaps_crowded: usize,
     pub widest_gap: Option<f64>,
+    /// The longest way of a trajectory from one front to the next, in widths of the region.
+    #[serde(default)]
+    pub longest_step: Option<f64>,
     /// Seeds that guards exclude.
     pub seeds_outside_guards: usize,
 }
@@ -153,6 +172,13 @@ impl CoverageSummary {
     #[must_use]
     pub fn gaps(&self) -> usize {
         self.gaps_for_want_of_seeds + self.gaps_indistinguishable + self.gaps_crowded
+    }
+
+    /// How much of the region trajectories go from one front to the next, where that is too much to
+    /// tell of what is between.
+    #[must_use]
+    pub fn far(&self) -> Option<f64> {
+        self.longest_step.filter(|step| Coverage::is_far(*step))
     }
 }
 
@@ -180,6 +206,33 @@ pub struct SweptErrors {
     pub seconds: f64,
 }
 
+impl SweptErrors {
+    /// Of two sweeps: the larger errors, medians too.
+    #[must_use]
+    pub(crate) fn largest(self, other: Self) -> Self {
+        // Of no trajectories there are none.
+        match (self.trajectories, other.trajectories) {
+            (_, 0) => return self,
+            (0, _) => return other,
+            _ => {}
+        }
+        Self {
+            trajectories: self.trajectories + other.trajectories,
+            failed: self.failed + other.failed,
+            points: self.points + other.points,
+            points_parted: self.points_parted + other.points_parted,
+            value: largest(self.value, other.value),
+            costate: largest(self.costate, other.costate),
+            control: largest(self.control, other.control),
+            slid_along_manifold: larger(self.slid_along_manifold, other.slid_along_manifold),
+            ended_differently: self.ended_differently + other.ended_differently,
+            met: all_met(&[self.met, other.met]),
+            seconds: self.seconds + other.seconds,
+            ..self
+        }
+    }
+}
+
 /// Errors of the solved states: a random sample solved again with a finer tolerance.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SolvedErrors {
@@ -195,6 +248,38 @@ pub struct SolvedErrors {
     pub asked: f64,
     pub met: Option<bool>,
     pub seconds: f64,
+}
+
+impl SolvedErrors {
+    /// Of two lists of states: the larger errors, medians too.
+    #[must_use]
+    pub(crate) fn largest(self, other: Self) -> Self {
+        Self {
+            states: self.states + other.states,
+            failed: self.failed + other.failed,
+            value: largest(self.value, other.value),
+            costate: largest(self.costate, other.costate),
+            control: largest(self.control, other.control),
+            met: all_met(&[self.met, other.met]),
+            seconds: self.seconds + other.seconds,
+            ..self
+        }
+    }
+}
+
+impl RunSummary {
+    /// Whether the errors asked for were met, of those that were estimated; `None` where that is not
+    /// known.
+    #[must_use]
+    pub(crate) fn met(&self) -> Option<bool> {
+        let solved = self
+            .homotopy
+            .as_ref()
+            .and_then(|h| h.error_estimate.as_ref());
+        let swept = self.error_estimate.as_ref().map(|errors| errors.met);
+        let all: Vec<Option<bool>> = swept.into_iter().chain(solved.map(|e| e.met)).collect();
+        all_met(&all)
+    }
 }
 
 /// Rates of the closed loop that lie far apart.
@@ -303,6 +388,7 @@ impl Session<'_> {
             stopped: outcome.stopped,
             laws_stopped: false,
             trajectories: swept.trajectories,
+            trajectories_borrowed: swept.borrowed,
             trajectories_stored: outcome.trajectories,
             status: statuses.map(|(s, n)| (plan.status_name(*s), *n)).collect(),
             coverage: CoverageSummary {
@@ -312,6 +398,7 @@ impl Session<'_> {
                 gaps_indistinguishable: coverage.indistinguishable,
                 gaps_crowded: coverage.crowded,
                 widest_gap: finite(coverage.widest),
+                longest_step: finite(coverage.step),
                 seeds_outside_guards: coverage.outside_guards,
             },
             seed_value: plan.local.as_ref().and_then(|l| finite(l.seed_value)),

@@ -7,6 +7,7 @@ use crate::common::{
 };
 use crate::error::{CliError, PlaceError};
 use crate::terminal::Terminal;
+use crate::text::far_text;
 use costate::backend::Backend;
 use costate::low_level::diagnostics::shorten;
 use costate::low_level::files::write_text;
@@ -504,10 +505,11 @@ fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
 
 /// The gaps that a sweep left, in words.
 fn gaps(fronts: &Fronts) -> String {
-    let mut text = match fronts.gaps {
-        u64::MAX => "the file does not tell its gaps".to_owned(),
-        0 => format!("{} trajectories failed", fronts.failed),
-        n => format!(
+    let mut text = match (fronts.gaps, fronts.far) {
+        (u64::MAX, _) => "the file does not tell its gaps".to_owned(),
+        (0, Some(step)) => far_text(step),
+        (0, None) => format!("{} trajectories failed", fronts.failed),
+        (n, _) => format!(
             "{n} gaps remain, the widest {:.2} of the region",
             fronts.widest
         ),

@@ -1,5 +1,6 @@
 //! What was put together.
 
+use super::far_text;
 use costate::run::{Merged, listed};
 use std::fmt::Write;
 
@@ -27,6 +28,9 @@ pub fn merged(merged: &Merged) -> String {
             all.coverage.gaps(),
             all.coverage.spacing
         );
+        if let Some(step) = all.coverage.far() {
+            let _ = write!(text, "; {}", far_text(step));
+        }
     }
     for (what, shards) in [
         ("missing", &merged.missing),

@@ -1,10 +1,10 @@
 //! What a run prints: heading and summary.
 
-use super::{counted, estimates};
+use super::{counted, estimates, far_text};
 use costate::backend::{Backend, Status};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::median_p99_max;
-use costate::low_level::sweep::{Plan, Sampling, SurfacePart, SweepReport};
+use costate::low_level::sweep::{Coverage, Plan, Sampling, SurfacePart, SweepReport};
 use costate::low_level::value::{Answers, EqualCost, Evidence, PointStatus};
 use costate::session::summary::{by_status, relative_hamiltonian};
 use costate::session::{Estimates, Outcome};
@@ -272,6 +272,12 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
         swept.trajectories,
         statuses.join(", ")
     ));
+    if swept.borrowed > 0 {
+        lines.push(format!(
+            "{} more were swept to compare these with, which other parts report",
+            swept.borrowed
+        ));
+    }
     let c = &swept.coverage;
     if c.outside_guards > 0 {
         lines.push(format!(
@@ -317,6 +323,13 @@ fn covered_text(plan: &Plan, swept: &SweepReport) -> String {
         .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
         .map(|(_, n)| n)
         .sum();
+    let step = swept.coverage.step;
+    if Coverage::is_far(step) {
+        return format!(
+            "fronts NOT covered: {}, and nothing is known of what is between (shoot_out: more samples, or a lower value_max)",
+            far_text(step)
+        );
+    }
     let covered = format!(
         "no neighbours within the region are further apart than {}",
         plan.shoot_out.spacing
