@@ -183,6 +183,25 @@ pub fn beginning(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// How long an HDF5 file says it is, by its superblock; `None` where that is not told as usual.
+#[must_use]
+pub fn length_told(begins: &[u8]) -> Option<u64> {
+    let byte = |at: usize| begins.get(at).copied();
+    // HDF5 File Format Specification 3.0, II.A: by version of the superblock where the size of
+    // addresses, the base address and that of the end of the file are.
+    let (size, base, end) = match byte(8)? {
+        0 => (byte(13)?, 24, 40),
+        1 => (byte(13)?, 28, 44),
+        2 | 3 => (byte(9)?, 12, 28),
+        _ => return None,
+    };
+    let address = |at: usize| -> Option<u64> {
+        let bytes = begins.get(at..at + 8)?;
+        Some(u64::from_le_bytes(bytes.try_into().ok()?))
+    };
+    (is_hdf5(begins) && size == 8 && address(base)? == 0).then(|| address(end))?
+}
+
 /// The text of a file, of at most 256 MiB.
 ///
 /// # Errors

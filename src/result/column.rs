@@ -76,10 +76,15 @@ impl StoredColumn {
             return Ok(Vec::new());
         }
         let read = self.dataset.read_slice(&starts, &counts);
-        read.map_err(|e| StoredError::Object {
+        read.map_err(|e| self.error(e.to_string()))
+    }
+
+    /// An error that names it.
+    pub fn error(&self, reason: String) -> StoredError {
+        StoredError::Object {
             path: self.path.clone(),
             object: self.object.clone(),
-            reason: e.to_string(),
-        })
+            reason,
+        }
     }
 }

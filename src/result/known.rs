@@ -48,6 +48,15 @@ impl Stored {
         )
     }
 
+    /// Which shard's part it is, and of how many; `None` where it is no part.
+    pub fn shard(&self) -> Option<(usize, usize)> {
+        let text = self.attribute(super::MANIFEST)?;
+        let manifest: serde_json::Value = serde_json::from_str(&text).ok()?;
+        let number = |name: &str| usize::try_from(manifest[name].as_u64()?).ok();
+        // All of the work, ended early, is a part of one.
+        Some((number("shard")?, number("shards")?)).filter(|(_, of)| *of > 1)
+    }
+
     /// Whether the run made a map in pieces, which may know nothing.
     pub fn has_map(&self) -> bool {
         self.has(&schema::MAP_PIECES) || self.summary()["map"].is_object()
@@ -97,7 +106,12 @@ impl Stored {
             pieces: self.map_pieces()?,
             beyond: self.map_beyond()?,
             coverage: Some(self.map_coverage()),
-            sweep: sweep_record(summary.as_ref()),
+            // What the parts of others cover is not known.
+            sweep: sweep_record(
+                summary
+                    .as_ref()
+                    .filter(|_| !stopped && self.shard().is_none()),
+            ),
             searched: self.attribute("source").is_none() && !stopped,
             errors: summary.as_ref().and_then(own_errors),
         })

@@ -80,6 +80,14 @@ fn no_hdf5(path: &Path, error: &Hdf5Error) -> String {
     what.to_owned()
 }
 
+/// Whether a file's end is missing, in words: HDF5 refuses it then, although all that is read of it
+/// may be there.
+fn cut_short(path: &Path) -> Option<String> {
+    let told = files::length_told(&files::beginning(path).ok()?)?;
+    let there = std::fs::metadata(path).ok()?.len();
+    (there < told).then(|| format!("it is cut short: {there} bytes of {told} are there"))
+}
+
 /// An array of a file, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Array {
@@ -133,6 +141,13 @@ impl Stored {
         if path.is_dir() {
             return Err(StoredError::Directory {
                 path: path.to_owned(),
+            });
+        }
+        if let Some(reason) = cut_short(path) {
+            return Err(StoredError::NotHdf5 {
+                path: path.to_owned(),
+                reason,
+                hint: "",
             });
         }
         let file =

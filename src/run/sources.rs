@@ -81,6 +81,11 @@ pub fn archive(stored: &Stored, model: &Model) -> Result<GivenSweep, RunError> {
     if stored.has_attribute("stopped") {
         return Err(refused("its sweep was ended before it was done"));
     }
+    if stored.shard().is_some() {
+        return Err(refused(
+            "it is one shard's part: put all parts together first (costate merge)",
+        ));
+    }
     Ok(GivenSweep {
         swept,
         of: told_apart(stored),

@@ -737,7 +737,7 @@ impl<'a> Fronts<'a> {
     /// Seeds that the cap leaves.
     fn affordable(&self) -> usize {
         let placed = self.report.trajectories + self.pending.len();
-        (self.plan.part.share(self.plan.shoot_out.max_seeds)).saturating_sub(placed)
+        self.plan.shoot_out.max_seeds.saturating_sub(placed)
     }
 
     /// Seeds that fit the round.

@@ -19,13 +19,6 @@ pub struct SurfacePart {
 impl SurfacePart {
     /// The whole surface.
     pub const WHOLE: Self = Self { part: 0, parts: 1 };
-
-    /// What this part has of so many things that are divided evenly.
-    #[must_use]
-    pub fn share(&self, of: usize) -> usize {
-        let upto = |part: usize| (of as u128 * part as u128 / self.parts as u128) as usize;
-        upto(self.part + 1) - upto(self.part)
-    }
 }
 
 /// What is swept of a first triangulation.

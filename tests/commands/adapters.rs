@@ -359,6 +359,7 @@ fn what_is_not_divided_among_adapters_is_refused() {
     let task = [
         ("SLURM_ARRAY_TASK_ID", "1"),
         ("SLURM_ARRAY_TASK_COUNT", "2"),
+        ("SLURM_ARRAY_TASK_MIN", "0"),
     ];
     refused(&SOLVE, &task, by_number);
     let solve = &SOLVE[..4];

@@ -334,7 +334,13 @@ impl Figures {
         self.add(
             "Fronts",
             match (open, gaps.far()) {
-                (0, None) => "covered".to_owned(),
+                (0, None) if summary.stopped => {
+                    "no gaps in what is there, which is not all".to_owned()
+                }
+                (0, None) => match summary.shard {
+                    None => "covered".to_owned(),
+                    Some([shard, of]) => format!("covered in this part ({shard} of {of}, from 0)"),
+                },
                 (0, Some(step)) => {
                     format!("{} of the region apart", significant(step, 3))
                 }

@@ -60,7 +60,7 @@ impl Whole<'_> {
                 sinks
                     .row(self, stream, (row, place), &of, (&mut counted, None))?
                     .ok_or_else(damaged)?;
-                stream.advance();
+                stream.advance()?;
                 place += 1;
             }
         }

@@ -84,7 +84,13 @@ pub enum MergeError {
         path = path.display()
     )]
     Unfinished { path: PathBuf },
-    #[error("{path}: /{group} is not as this program writes it", path = path.display())]
+    #[error("{path} does not tell what its run did (the attribute `summary`): run its shard again", path = path.display())]
+    NoSummary { path: PathBuf },
+    #[error(
+        "{count} states are in no part, although no shard is missing: rows were lost from one; run all shards again"
+    )]
+    NoRows { count: usize },
+    #[error("{path}: /{group} is not as this program writes it, or rows of it are missing: run its shard again", path = path.display())]
     Damaged { path: PathBuf, group: &'static str },
     #[error(
         "{path} cannot be gone on with: {what} was another ({then}, and now {now}); leave --resume out to begin anew",
@@ -253,6 +259,11 @@ fn check(
     }
     let of = first.shards;
     let missing: Vec<usize> = (0..of).filter(|k| !at.contains_key(k)).collect();
+    let told = |s: &&Source| s.stored.has_attribute("stopped") || s.stored.has_attribute("summary");
+    if let Some(source) = sources.iter().find(|s| !told(s)) {
+        let path = source.path();
+        return Err(MergeError::NoSummary { path }.into());
+    }
     let late = sources.iter().filter(|s| !s.is_finished());
     let unfinished: Vec<usize> = late.clone().map(|s| s.manifest.shard).collect();
     if options.partial {

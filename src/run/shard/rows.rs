@@ -160,6 +160,12 @@ impl Rows {
     /// Where it cannot be read.
     fn here(&mut self, place: usize) -> Result<(&Column, Range<usize>), StoredError> {
         let (column, width) = (&self.columns[place], self.columns[place].width());
+        if self.at >= self.count {
+            return Err(column.error(format!(
+                "it has {} rows, and the rest of the file tells of more",
+                self.count
+            )));
+        }
         let (numbers, rows) = &mut self.window[place];
         if !rows.contains(&self.at) {
             let count = self.at_once.min(self.count.saturating_sub(self.at));

@@ -30,6 +30,8 @@ pub(super) struct Stream {
     solutions: Option<(Rows, Rows)>,
     trajectories: Option<Rows>,
     layouts: Layouts,
+    /// How many different states of each block have come.
+    seen: BTreeMap<i32, i32>,
 }
 
 /// The variables of each group of a part.
@@ -78,7 +80,19 @@ impl Stream {
                 solutions: of_solutions,
                 trajectories: of_trajectories,
             },
+            seen: BTreeMap::new(),
         })
+    }
+
+    /// Whether, at the end, as many states and solutions have come as the part says it has.
+    pub fn is_complete(&self, source: &Source) -> bool {
+        let seen = |block: &i32| self.seen.get(block).copied().unwrap_or(0);
+        let blocks = source.number.iter().zip(&source.states);
+        let solutions = self.solutions.as_ref();
+        blocks
+            .into_iter()
+            .all(|(block, states)| seen(block) == *states)
+            && solutions.is_none_or(|(rows, _)| rows.at == rows.count)
     }
 
     /// The number of the present state among all; `None` at the end.
@@ -93,11 +107,16 @@ impl Stream {
         self.place.whole(1)
     }
 
-    pub fn advance(&mut self) {
+    pub fn advance(&mut self) -> Result<(), StoredError> {
+        if self.place.whole(3)? == 0 {
+            let block = self.block()?;
+            *self.seen.entry(block).or_insert(0) += 1;
+        }
         self.place.advance();
         if let Some(points) = &mut self.points {
             points.advance();
         }
+        Ok(())
     }
 
     /// Passes over the present state with all that belongs to it.
@@ -116,8 +135,7 @@ impl Stream {
                 trajectories.advance();
             }
         }
-        self.advance();
-        Ok(())
+        self.advance()
     }
 }
 
@@ -334,8 +352,11 @@ impl Sinks {
             within.advance();
         }
         if value.is_finite()
-            && let (Some(sink), Some(rows)) = (&mut self.trajectories, &mut stream.trajectories)
+            && let Some(sink) = &mut self.trajectories
         {
+            let Some(rows) = &mut stream.trajectories else {
+                return Ok(None);
+            };
             sink.take(rows)?;
             sink.set_wholes("given", row as i32);
             sink.set_wholes("sheet", sheet);

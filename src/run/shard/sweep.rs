@@ -4,15 +4,16 @@
 use super::super::{Provenance, RunError, in_json, trajectory_schema, write_errors};
 use super::before::{Before, create_part};
 use super::manifest::{Asked, Kind, Manifest};
+use super::merge::MergeError;
 use super::rows::{Layout, Rows, Sink};
 use super::source::Source;
 use super::whole::{Gaps, note_gaps, record};
 use super::{write_manifest, write_whole};
 use crate::hdf5::ResultFile;
-use crate::result::{ShardGroups, TrajectorySchema};
+use crate::result::{ShardGroups, StoredError, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::{Quantiles, RunSummary, larger};
-use crate::session::{Kept, Session, Wanted};
+use crate::session::{Kept, Session, SessionError, Wanted};
 use crate::sweep::{Choices, FoldPoint, Plan};
 use std::path::{Path, PathBuf};
 
@@ -114,6 +115,13 @@ impl PartOfSweep {
     }
 }
 
+impl Source {
+    /// How many trajectories a part of a sweep has.
+    fn trajectories(&self) -> usize {
+        self.states.iter().map(|k| (*k).max(0) as usize).sum()
+    }
+}
+
 impl Manifest {
     /// Of a part of a sweep.
     fn of_sweep(
@@ -127,7 +135,6 @@ impl Manifest {
             Kept::Values => "x and V alone",
             Kept::Nothing => "not stored",
         };
-        let shards = wanted.shard.map_or(1, crate::session::Shard::of);
         Self {
             asked: Asked {
                 kept: Some(kept.to_owned()),
@@ -136,7 +143,7 @@ impl Manifest {
             precision: plan.spec.precision.name().to_owned(),
             method: plan.method().name().to_owned(),
             rtol: plan.rtol_asked,
-            ..Self::begun(Kind::Sweep, session, (wanted.shard, shards), provenance)
+            ..Self::begun(Kind::Sweep, session, (wanted.shard, 1), provenance)
         }
     }
 }
@@ -159,17 +166,19 @@ pub(super) fn assemble(
         ..Choices::default()
     })?;
     let schema = trajectory_schema(model, &plan);
+    let parts = summaries(&sources)?;
+    if gaps.is_none() && parts.iter().all(|part| part.trajectories == 0) {
+        let outside = parts.iter().map(|p| p.coverage.seeds_outside_guards).sum();
+        return Err(SessionError::NothingSwept { outside }.into());
+    }
     let mut file = ResultFile::create(out)?;
     let drift = write_trajectories(&mut file, &schema, &sources)?;
     write_folds(&mut file, &schema, &sources)?;
 
-    let parts = sources
-        .iter()
-        .map(|source| Ok(source.stored.run_summary()?.unwrap_or_default()))
-        .collect::<Result<Vec<RunSummary>, RunError>>()?;
     let mut summary = together(&parts);
     summary.file = out.display().to_string();
     summary.stopped = gaps.is_some();
+    summary.shard = None;
     if !drift.is_empty() {
         summary.hamiltonian = Quantiles::of(&drift);
     }
@@ -184,6 +193,19 @@ pub(super) fn assemble(
     Ok((file.finish()?, summary))
 }
 
+/// What each part tells of itself.
+fn summaries(sources: &[&Source]) -> Result<Vec<RunSummary>, RunError> {
+    let of = |source: &&Source| -> Result<RunSummary, RunError> {
+        let path = source.path();
+        let summary = (source.stored.run_summary()?).ok_or(MergeError::NoSummary { path })?;
+        match summary.trajectories == source.trajectories() {
+            true => Ok(summary),
+            false => Err(source.damaged(schema::SHARD.name)),
+        }
+    };
+    sources.iter().map(of).collect()
+}
+
 /// Writes the trajectories of all parts; |H| along each.
 fn write_trajectories(
     file: &mut ResultFile,
@@ -192,9 +214,17 @@ fn write_trajectories(
 ) -> Result<Vec<f64>, RunError> {
     let mut drift = Vec::new();
     let mut sink: Option<(Sink, Layout)> = None;
+    let mut single: Option<Vec<bool>> = None;
+    let are_kept = sources
+        .iter()
+        .any(|s| s.stored.has_any(&[&schema::TRAJECTORIES]));
     for source in sources {
+        let damaged = || source.damaged(schema::TRAJECTORIES.name);
         let Some(group) = source.stored.group(&schema::TRAJECTORIES) else {
-            continue;
+            match are_kept && source.trajectories() > 0 {
+                true => return Err(damaged()),
+                false => continue,
+            }
         };
         if sink.is_none() {
             let layout = Layout::of(&group, &schema::TRAJECTORIES)?;
@@ -214,6 +244,12 @@ fn write_trajectories(
             continue;
         };
         let mut rows = Rows::new(&group, layout, AT_ONCE)?;
+        let own: Vec<bool> = (layout.names.iter())
+            .map(|name| Ok(group.column(name)?.single))
+            .collect::<Result<_, StoredError>>()?;
+        if rows.count != source.trajectories() || *single.get_or_insert(own.clone()) != own {
+            return Err(damaged());
+        }
         let of_drift = layout.place("hamiltonian_drift");
         while rows.at < rows.count {
             if let Some(place) = of_drift {
@@ -248,8 +284,12 @@ fn write_folds(
                 return Err(damaged());
             }
             for (k, trajectory) in of.iter().enumerate() {
+                let trajectory = usize::try_from(*trajectory).map_err(|_| damaged())?;
+                if trajectory >= source.trajectories() {
+                    return Err(damaged());
+                }
                 folds.push(FoldPoint {
-                    trajectory: first + usize::try_from(*trajectory).map_err(|_| damaged())?,
+                    trajectory: first + trajectory,
                     t: t[k],
                     x: x[k * n..(k + 1) * n].to_vec(),
                     p: p[k * n..(k + 1) * n].to_vec(),
@@ -257,11 +297,7 @@ fn write_folds(
                 });
             }
         }
-        first += source
-            .states
-            .iter()
-            .map(|k| (*k).max(0) as usize)
-            .sum::<usize>();
+        first += source.trajectories();
     }
     Ok(file.caustic(schema, &folds)?)
 }

@@ -3,7 +3,7 @@
 use super::super::{Provenance, RunError, in_json, write_errors};
 use super::before::create_part;
 use super::manifest::Manifest;
-use super::merge::listed;
+use super::merge::{MergeError, listed};
 use super::source::Source;
 use super::stream::{Counted, MOST_ROWS, Sinks, Stream};
 use crate::backend::cpu::{Cpu, in_pool};
@@ -78,6 +78,10 @@ pub(super) fn assemble(
         ..Answers::default()
     };
     file.sheet_edges(&whole.schema, &edges)?;
+    let lost = counted.status.get(PointStatus::NotMerged.name()).copied();
+    if let (Into::Whole(None) | Into::Virtual(None), Some(count)) = (into, lost) {
+        return Err(MergeError::NoRows { count }.into());
+    }
     let is_whole = matches!(
         into,
         Into::Whole(None) | Into::Virtual(None) | Into::Part(_, true)
@@ -334,7 +338,7 @@ impl<'s> Whole<'s> {
                     (&mut *counted, part.as_deref_mut()),
                 )?
                 .ok_or_else(|| damaged(k))?;
-            stream.advance();
+            stream.advance()?;
             if let Some(index) = self.next_of(stream, k)? {
                 heap.push(Reverse((index, k)));
             }
@@ -359,7 +363,10 @@ impl<'s> Whole<'s> {
             }
             stream.skip()?;
         }
-        Ok(None)
+        match stream.is_complete(&self.sources[k]) {
+            true => Ok(None),
+            false => Err(self.sources[k].damaged("points")),
+        }
     }
 
     /// States that no part has.

@@ -14,7 +14,7 @@ use crate::map::{Adaptive, Agreement};
 use crate::model::Model;
 use crate::numeric::quantile::median_p99_max;
 use crate::sweep::accuracy::Spread;
-use crate::sweep::{Coverage, Plan};
+use crate::sweep::{Coverage, Plan, SurfacePart};
 use crate::value::{Answers, PointStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -96,6 +96,9 @@ pub struct RunSummary {
     pub method: String,
     pub rtol: f64,
     pub atol: f64,
+    /// Of a part of a sweep which shard it is (from 0), and of how many.
+    #[serde(default)]
+    pub shard: Option<[usize; 2]>,
     /// Whether the run was ended before everything was swept and solved.
     #[serde(default)]
     pub stopped: bool,
@@ -385,6 +388,7 @@ impl Session<'_> {
             method: plan.method().name().to_owned(),
             rtol: plan.run.rtol,
             atol: plan.atol,
+            shard: (plan.part != SurfacePart::WHOLE).then_some([plan.part.part, plan.part.parts]),
             stopped: outcome.stopped,
             laws_stopped: false,
             trajectories: swept.trajectories,

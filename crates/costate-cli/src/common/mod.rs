@@ -97,6 +97,12 @@ pub fn note_ended_early(stored: &Stored, terminal: &Terminal) {
             "{path}: {count} {of} gone ({first}): nothing is known of the states there, and V is not interpolated between other solved states"
         ));
     }
+    if let Some((shard, of)) = stored.shard() {
+        let path = stored.path.display();
+        terminal.note(&format!(
+            "{path} is shard {shard} of {of} (from 0): what others have, cheaper solutions too, is not in it (costate merge puts them together)"
+        ));
+    }
     if let Some(how) = stored.ended_early() {
         let path = stored.path.display();
         terminal.note(&format!("{path}: its run was ended {how}"));

@@ -21,13 +21,22 @@ pub fn merged(merged: &Merged) -> String {
     }
     let all = &merged.summary;
     if all.trajectories > 0 {
+        let c = &all.coverage;
+        let of_what = if all.stopped { "; in these " } else { "; " };
         let _ = write!(
             text,
-            ": {} trajectories; {} gaps wider than {} remain",
+            ": {} trajectories{of_what}{} gaps wider than {} remain",
             all.trajectories,
-            all.coverage.gaps(),
-            all.coverage.spacing
+            c.gaps(),
+            c.spacing
         );
+        if c.gaps_for_want_of_seeds > 0 {
+            let _ = write!(
+                text,
+                " ({} for want of seeds or time: max_seeds counts for each shard)",
+                c.gaps_for_want_of_seeds
+            );
+        }
         if let Some(step) = all.coverage.far() {
             let _ = write!(text, "; {}", far_text(step));
         }

@@ -264,7 +264,12 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
         ));
     }
     if swept.trajectories == 0 {
-        lines.push("no trajectories: nothing of this part is to be swept".to_owned());
+        lines.push(match swept.coverage.outside_guards {
+            0 => "no trajectories: nothing of this part is to be swept".to_owned(),
+            outside => {
+                format!("no trajectories: all {outside} seeds of this part lie outside the guards")
+            }
+        });
         return lines;
     }
     lines.push(format!(
@@ -350,14 +355,14 @@ fn gaps_text(plan: &Plan, swept: &SweepReport) -> String {
     if c.uncovered > 0 && swept.stopped {
         reasons.push(format!("{} for want of time", c.uncovered));
     } else if c.uncovered > 0 {
-        let most = plan.part.share(plan.shoot_out.max_seeds);
-        reasons.push(match plan.part == SurfacePart::WHOLE {
-            true => format!("{} for want of seeds (max_seeds = {most})", c.uncovered),
-            false => format!(
-                "{} for want of seeds ({most} are this part's share of max_seeds; one run would divide them otherwise)",
-                c.uncovered
-            ),
-        });
+        let each = match plan.part == SurfacePart::WHOLE {
+            true => "",
+            false => " for each shard",
+        };
+        reasons.push(format!(
+            "{} for want of seeds (max_seeds = {}{each})",
+            c.uncovered, plan.shoot_out.max_seeds
+        ));
     }
     if c.indistinguishable > 0 {
         reasons.push(format!(
