@@ -1,14 +1,16 @@
 #!/usr/bin/env bash
-# V at many states on a Slurm cluster. After a time limit it goes on by itself; after a failure the same line does what is left:
-#     sbatch --array=0-15 examples/slurm.sh SCENE.toml STATES.csv
+# V at many states on a Slurm cluster, in 16 shards. After a time limit it goes on by itself; after a failure the same line, or one with
+# some of the tasks, does what is left:
+#     sbatch --array=0-15 examples/slurm.sh SCENE.toml STATES.csv 16
 #SBATCH --time=01:00:00 --cpus-per-task=8 --requeue
 #SBATCH --signal=B:TERM@120
 set -u
+shard="$SLURM_ARRAY_TASK_ID/${3:?how many shards are there?}"
 out="out/$(basename "$1" .toml)"
 part="$out/part-$SLURM_ARRAY_TASK_ID.h5"
 mkdir -p "$out"
 export RAYON_NUM_THREADS="${SLURM_CPUS_PER_TASK:-1}"
-costate solve "$1" --points "$2" --out "$part" --resume &
+costate solve "$1" --points "$2" --shard "$shard" --out "$part" --resume &
 pid=$!
 # Two minutes before the limit: costate ends with what is done, and the status 75.
 trap 'kill -TERM "$pid"' TERM
@@ -16,5 +18,5 @@ wait "$pid"; status=$?
 if [ "$status" -gt 128 ]; then wait "$pid"; status=$?; fi
 if [ "$status" -eq 75 ]; then scontrol requeue "${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID"; fi
 # The last one finds all parts, and puts them together.
-if [ "$status" -eq 0 ]; then costate merge "$out"/part-*.h5 --out "$out/all.h5" 2> "$out/merge.log"; fi
+if [ "$status" -eq 0 ]; then costate merge "$out"/part-*.h5 --out "$out/all.h5" 2> "$out/merge-$SLURM_ARRAY_TASK_ID.log"; fi
 exit "$status"

@@ -3,7 +3,7 @@
 
 use super::{Known, ValueMap};
 use crate::backend::Status;
-use crate::sweep::{self, Plan, Sampling};
+use crate::sweep::{Plan, Sampling};
 use crate::trajectories::SweptTrajectories;
 
 /// What a value's being the least rests on. The error estimate covers no sheet that was not found.
@@ -76,7 +76,7 @@ impl Fronts {
             searched: known.searched,
             gaps: known.sweep.gaps.unwrap_or(u64::MAX),
             widest: known.sweep.widest,
-            far: Some(known.sweep.step).filter(|step| sweep::Coverage::is_far(*step)),
+            far: known.sweep.far,
             failed: known.sweep.failed,
             below: 0.0,
         };

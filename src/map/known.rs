@@ -31,9 +31,9 @@ pub struct SweepRecord {
     pub gaps: Option<u64>,
     /// The widest, in widths of the region.
     pub widest: f64,
-    /// How much of the region trajectories go from one front to the next; NaN where that is not
-    /// known.
-    pub step: f64,
+    /// How much of the region trajectories go from one front to the next, where that is too much to
+    /// tell of what is between.
+    pub far: Option<f64>,
     /// Trajectories whose integration failed.
     pub failed: u64,
 }
@@ -43,7 +43,7 @@ impl Default for SweepRecord {
         Self {
             gaps: None,
             widest: f64::NAN,
-            step: f64::NAN,
+            far: None,
             failed: 0,
         }
     }

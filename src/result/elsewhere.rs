@@ -213,7 +213,7 @@ impl SolvedStates {
 
 impl SweptTrajectories {
     /// The same in this order.
-    pub(super) fn in_order(self, rows: &[usize]) -> Self {
+    pub(crate) fn in_order(self, rows: &[usize]) -> Self {
         let of = |all: &[f64]| taken(all, all.len() / self.count.max(1), rows);
         Self {
             t: of(&self.t),

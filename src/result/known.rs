@@ -14,7 +14,7 @@ pub enum StoredMapError {
     Stored(#[from] StoredError),
     #[error("{path} holds nothing to interpolate V from: neither /trajectories with costates nor /points nor /map (`costate run` or `costate homotopy` of its scene makes some; `--values-only` and `--no-trajectories` leave costates out)", path = path.display())]
     Empty { path: std::path::PathBuf },
-    #[error("{path}: its run was ended before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end (what was solved is in /points and /map)", path = path.display())]
+    #[error("{path}: its run was ended, or shards of it are not there, before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end, or merge all shards again (what was solved is in /points and /map)", path = path.display())]
     Stopped { path: std::path::PathBuf },
     #[error("{path}: its run was ended before anything was solved: run it to its end", path = path.display())]
     NothingDone { path: std::path::PathBuf },
@@ -67,22 +67,30 @@ impl Stored {
         self.has_attribute("stopped") || !self.absent_parts().is_empty()
     }
 
-    /// What the file may lack, in words, where its run was ended before all was done.
-    pub fn ended_early(&self) -> Option<&'static str> {
+    /// What the file may lack, in words, where its run was ended before all was done, or not all
+    /// shards of it are there.
+    pub fn ended_early(&self) -> Option<String> {
+        let shards = |name: &str| self.attribute(name).filter(|list| !list.is_empty());
+        let missing = shards("shards_missing").map(|list| format!("missing: {list}"));
+        let unfinished = shards("shards_unfinished").map(|list| format!("not finished: {list}"));
+        let shards: Vec<String> = missing.into_iter().chain(unfinished).collect();
+        if !shards.is_empty() {
+            return Some(format!(
+                "not all shards are in it ({}): a cheaper solution may be missing, and V is not interpolated between solved states; merge again with all of them",
+                shards.join("; ")
+            ));
+        }
         let stopped = self.has_attribute("stopped");
-        if stopped && self.has_map() {
-            return Some(
-                "before everything was swept and solved: a cheaper solution may be missing, and the map knows V in less of its region than was asked for",
-            );
-        }
-        if stopped {
-            return Some(
-                "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and V is not interpolated between solved states",
-            );
-        }
-        self.has_attribute("laws_stopped").then_some(
-            "after everything was solved: laws, closed loops and levels of attenuation may be missing",
-        )
+        let how = if stopped && self.has_map() {
+            "before everything was swept and solved: a cheaper solution may be missing, and the map knows V in less of its region than was asked for"
+        } else if stopped {
+            "before everything was swept and solved: a state without an answer may have one, a cheaper solution may be missing, and V is not interpolated between solved states"
+        } else if self.has_attribute("laws_stopped") {
+            "after everything was solved: laws, closed loops and levels of attenuation may be missing"
+        } else {
+            return None;
+        };
+        Some(format!("its run was ended {how}"))
     }
 
     /// What the file holds of the value function.
@@ -130,7 +138,7 @@ fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
     SweepRecord {
         gaps: Some(coverage.gaps() as u64),
         widest: coverage.widest_gap.unwrap_or(f64::NAN),
-        step: coverage.longest_step.unwrap_or(f64::NAN),
+        far: coverage.far(),
         failed: failed.map(|n| *n as u64).sum(),
     }
 }

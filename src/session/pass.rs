@@ -55,6 +55,8 @@ pub struct Outcome {
     pub plan: Plan,
     /// Of the sweep, also of one that only gave first guesses.
     pub swept: SweepReport,
+    /// How many trajectories of an earlier sweep gave first guesses.
+    pub guesses: usize,
     /// Whether the sweep is a result. Else it gave first guesses.
     pub stored: bool,
     /// Whether its trajectories were kept.
@@ -103,6 +105,7 @@ impl Outcome {
     fn nothing(plan: Plan, targets: Option<Targets>) -> Self {
         Self {
             swept: SweepReport::default(),
+            guesses: 0,
             stored: false,
             trajectories: false,
             answers: None,
@@ -361,9 +364,15 @@ impl Pass<'_> {
         let solves = outcome.targets.is_some() || aim.is_some();
         let mut archive = solves.then(|| Archive::new(&outcome.plan));
         // A sweep that was made before leaves no reason to make one.
-        let given = given.filter(|_| !stored && value::may_use_sweep(&outcome.plan));
+        let is_used = |_: &Arc<GivenSweep>| !stored && value::may_use_sweep(&outcome.plan);
+        if given.as_ref().is_some_and(|given| !is_used(given)) {
+            let text = "the sweep that is given (--archive) is not used: here the search makes its own trajectories";
+            session.progress.note(text);
+        }
+        let given = given.filter(is_used);
         let direct = !stored && given.is_none() && value::goes_without_sweep(&outcome.plan);
         if let Some(given) = given {
+            outcome.guesses = given.swept.count;
             archive = solves.then(|| Archive::of_stored(&outcome.plan, &given.swept));
         } else if !direct {
             let write = stores_sweep.then_some(write);

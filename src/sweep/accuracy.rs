@@ -91,21 +91,44 @@ pub struct Accuracy {
     pub seconds: f64,
 }
 
+/// Whether the error of V that was asked for was met, by the worst one of points that were compared,
+/// of trajectories of which some ended otherwise than their references, and of points of which some
+/// have parted from theirs; `None` where too little could be compared.
+pub(crate) fn are_met(
+    worst: f64,
+    bound: f64,
+    (sampled, differ): (usize, usize),
+    (compared, parted): (usize, usize),
+) -> Option<bool> {
+    // (An error that is no number is not met.)
+    let fails = worst.is_nan() || worst > bound || differ as f64 > MAY_DIFFER * sampled as f64;
+    match fails {
+        true => Some(false),
+        false => (!part_fast(compared, parted)).then_some(true),
+    }
+}
+
+/// Whether more points have parted from their reference than may.
+fn part_fast(compared: usize, parted: usize) -> bool {
+    parted as f64 > MAY_PART * (compared + parted) as f64
+}
+
 impl Accuracy {
     /// Whether the error asked for was met; `None` where too little could be compared to say so.
     pub fn met(&self) -> Option<bool> {
-        let value = self.value?;
-        if value.worst > self.bound || self.differ as f64 > MAY_DIFFER * self.sampled as f64 {
-            return Some(false);
-        }
-        (!self.parts_fast()).then_some(true)
+        let worst = self.value?.worst;
+        are_met(
+            worst,
+            self.bound,
+            (self.sampled, self.differ),
+            (self.compared, self.parted),
+        )
     }
 
     /// Whether more points have parted from their reference than may.
     #[must_use]
     pub fn parts_fast(&self) -> bool {
-        let points = (self.compared + self.parted) as f64;
-        self.parted as f64 > MAY_PART * points
+        part_fast(self.compared, self.parted)
     }
 }
 

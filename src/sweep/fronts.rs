@@ -71,6 +71,8 @@ pub struct Coverage {
     /// The longest way of a trajectory within the region from one front to the next, in widths of
     /// the region: nothing is compared on it.
     pub step: f64,
+    /// The most fronts that a trajectory passes.
+    pub fronts: usize,
     /// Pairs looked at.
     pub pairs: usize,
     /// Seeds outside a guard, which were not swept.
@@ -84,11 +86,11 @@ impl Coverage {
         self.uncovered + self.indistinguishable + self.crowded
     }
 
-    /// Whether fronts lie too far apart to tell of what is between them, if trajectories go so much
-    /// of the region from one to the next.
+    /// How much of the region trajectories go from one front to the next, where that is too much to
+    /// tell of what is between them, and where none comes to the first one.
     #[must_use]
-    pub fn is_far(step: f64) -> bool {
-        step > FAR
+    pub fn far(step: f64, fronts: usize) -> Option<f64> {
+        (step > FAR || fronts == 0).then_some(step)
     }
 }
 
@@ -498,6 +500,8 @@ impl<'a> Fronts<'a> {
                 })
                 .reduce(|| 0.0, f64::max);
             report.coverage.step = report.coverage.step.max(step);
+            let fronts = (0..count).map(|i| fronts(plan, batch, i)).max();
+            report.coverage.fronts = report.coverage.fronts.max(fronts.unwrap_or(0));
         }
         report.trajectories += count;
         report.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
@@ -868,6 +872,14 @@ fn square(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
 }
 
+/// How many fronts trajectory `i` of a batch has passed.
+fn fronts(plan: &Plan, batch: &Trajectories, i: usize) -> usize {
+    let mut levels = plan.inner..batch.levels;
+    levels
+        .position(|level| batch.sample(i, level)[0].is_nan())
+        .unwrap_or(batch.levels - plan.inner)
+}
+
 /// The longest way of trajectory `i` of a batch from one front to the next, of what lies in the
 /// region, in its widths.
 fn step(plan: &Plan, seed: &[f64], batch: &Trajectories, i: usize) -> f64 {
@@ -881,11 +893,10 @@ fn step(plan: &Plan, seed: &[f64], batch: &Trajectories, i: usize) -> f64 {
             .map(|k| (within(k, x[k]) - within(k, y[k])).abs() / plan.widths[k])
             .fold(0.0, f64::max)
     };
-    let fronts = (plan.inner..batch.levels)
-        .map(|level| &batch.sample(i, level)[1..=n])
-        .take_while(|x| !x[0].is_nan());
+    let passed = (plan.inner..plan.inner + fronts(plan, batch, i))
+        .map(|level| &batch.sample(i, level)[1..=n]);
     let (mut longest, mut at) = (0.0f64, &seed[..n]);
-    for x in fronts.chain([&batch.end[i * batch.dim..][..n]]) {
+    for x in passed.chain([&batch.end[i * batch.dim..][..n]]) {
         longest = longest.max(way(at, x));
         at = x;
     }

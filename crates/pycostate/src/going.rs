@@ -56,10 +56,14 @@ pub struct Gone<T> {
 }
 
 /// Does some work. `progress(step)` is called with what goes on (None where a step has ended), `note`
-/// with remarks.
+/// with remarks; an exception of `look()`, which is called again and again, ends it.
 pub fn going<T: Send>(
     py: Python<'_>,
-    (progress, note): (&Bound<'_, PyAny>, &Bound<'_, PyAny>),
+    (progress, note, look): (
+        &Bound<'_, PyAny>,
+        &Bound<'_, PyAny>,
+        &dyn Fn() -> PyResult<()>,
+    ),
     time_limit: Option<f64>,
     work: impl FnOnce(&Listener, Deadline) -> T + Send,
 ) -> PyResult<Gone<T>> {
@@ -78,7 +82,9 @@ pub fn going<T: Send>(
         });
         loop {
             let over = py.detach(|| ended.wait());
-            let heard = pass_on(&told, progress, note).and_then(|()| py.check_signals());
+            let heard = pass_on(&told, progress, note)
+                .and_then(|()| py.check_signals())
+                .and_then(|()| look());
             if let Err(e) = heard {
                 stop.store(true, Ordering::Relaxed);
                 interrupted.get_or_insert(e);

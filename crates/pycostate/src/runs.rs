@@ -102,8 +102,18 @@ impl How {
         py: Python<'_>,
         work: impl FnOnce(&Listener, Deadline) -> T + Send,
     ) -> PyResult<Gone<T>> {
+        self.going_while(py, &|| Ok(()), work)
+    }
+
+    /// The same, which an exception of `look` ends.
+    fn going_while<T: Send>(
+        &self,
+        py: Python<'_>,
+        look: &dyn Fn() -> PyResult<()>,
+        work: impl FnOnce(&Listener, Deadline) -> T + Send,
+    ) -> PyResult<Gone<T>> {
         let (progress, note) = (self.progress.bind(py), self.note.bind(py));
-        going(py, (progress, note), self.time_limit, work)
+        going(py, (progress, note, look), self.time_limit, work)
     }
 
     /// Something that a session computes into a result file.
@@ -115,7 +125,8 @@ impl How {
         work: impl FnOnce(&Session<'_>, &Provenance) -> Result<Made, CliError> + Send,
     ) -> PyResult<Written> {
         let (numerics, scene) = (self.numerics(py)?, Arc::clone(&scene.inner));
-        let gone = self.going(py, |listener, deadline| {
+        let look = || workers.map_or(Ok(()), |workers| workers.look(py));
+        let gone = self.going_while(py, &look, |listener, deadline| {
             let provenance = provenance();
             let mut session = numerics.session(&scene, listener, deadline)?;
             if let Some(workers) = workers {
@@ -145,6 +156,13 @@ impl Numerics {
 
 /// Workers of a map, which Python knows.
 struct Crew(Py<PyAny>);
+
+impl Crew {
+    /// An exception where the work was given up.
+    fn look(&self, py: Python<'_>) -> PyResult<()> {
+        self.0.call_method0(py, "look").map(drop)
+    }
+}
 
 impl Workers for Crew {
     fn count(&self) -> usize {

@@ -5,6 +5,7 @@ use crate::model::Model;
 use crate::result::Stored;
 use crate::session::{Session, Shard, States, StatesAsked, Wanted};
 use crate::sweep::Numerics;
+use crate::value::may_use_sweep;
 use serde::{Deserialize, Serialize};
 
 /// What was asked for, beside the scene.
@@ -195,7 +196,9 @@ impl Manifest {
                 one_sheet,
                 samples,
                 grid_guesses: wanted.grid_guesses,
-                archive: wanted.archive.as_ref().map(|given| given.of.clone()),
+                archive: (wanted.archive.as_ref())
+                    .filter(|_| may_use_sweep(plan))
+                    .map(|given| given.of.clone()),
                 rows: targets.count(),
                 points: targets.points(),
                 states: of_numbers(&bits),

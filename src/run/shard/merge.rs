@@ -74,9 +74,10 @@ pub enum MergeError {
         other: PathBuf,
     },
     #[error(
-        "of {of} shards {} missing: {}; run them, or put together what there is with --partial",
+        "of {of} shards {} missing: {} (counted from 0); run {}, or put together what there is with --partial",
         if missing.len() == 1 { "one is" } else { "some are" },
-        listed(missing)
+        listed(missing),
+        if missing.len() == 1 { "it" } else { "them" }
     )]
     Missing { missing: Vec<usize>, of: usize },
     #[error(
@@ -93,7 +94,7 @@ pub enum MergeError {
     #[error("{path}: /{group} is not as this program writes it, or rows of it are missing: run its shard again", path = path.display())]
     Damaged { path: PathBuf, group: &'static str },
     #[error(
-        "{path} cannot be gone on with: {what} was another ({then}, and now {now}); leave --resume out to begin anew",
+        "{path} cannot be gone on with: {what} was another ({then}, and now {now}); leave --resume out to begin anew (in Python: name another folder)",
         path = path.display()
     )]
     Other {
@@ -125,7 +126,7 @@ pub enum MergeError {
     #[error("{path} is both a part and the whole: name another --out", path = path.display())]
     OverPart { path: PathBuf },
     #[error(
-        "{path} is a part of a study, of closed loops, of levels or of a sweep, and --virtual is for states: leave it out",
+        "{path} is a part of a study, of closed loops, of levels or of a sweep; --virtual is for parts of states (solve, homotopy, map): leave it out",
         path = path.display()
     )]
     VirtualSmall { path: PathBuf },

@@ -76,8 +76,11 @@ pub(in crate::run) fn run<'s>(
         .flat_map(Source::units_done)
         .collect();
     if !done.is_empty() {
-        let (some, of) = (done.len(), work.manifest.units);
-        let note = format!("{some} blocks of states, of {of} in all, were done before");
+        let some = match done.len() {
+            1 => "1 block of states was".to_owned(),
+            some => format!("{some} blocks of states were"),
+        };
+        let note = format!("{some} done before; what is told below is of the others");
         session.progress().note(&note);
     }
     pass.without(done);

@@ -325,6 +325,7 @@ fn together(parts: &[RunSummary]) -> RunSummary {
         here.seeds_outside_guards += there.seeds_outside_guards;
         here.widest_gap = larger(here.widest_gap, there.widest_gap);
         here.longest_step = larger(here.longest_step, there.longest_step);
+        here.fronts_passed = here.fronts_passed.max(there.fronts_passed);
         if part.trajectories > 0 {
             all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);
             let relative = all.hamiltonian_relative.largest(part.hamiltonian_relative);

@@ -13,7 +13,7 @@ use super::{Estimates, Outcome, Session};
 use crate::map::{Adaptive, Agreement};
 use crate::model::Model;
 use crate::numeric::quantile::median_p99_max;
-use crate::sweep::accuracy::Spread;
+use crate::sweep::accuracy::{Spread, are_met};
 use crate::sweep::{Coverage, Plan, SurfacePart};
 use crate::value::{Answers, PointStatus};
 use serde::{Deserialize, Serialize};
@@ -166,6 +166,9 @@ pub struct CoverageSummary {
     /// The longest way of a trajectory from one front to the next, in widths of the region.
     #[serde(default)]
     pub longest_step: Option<f64>,
+    /// The most fronts that a trajectory passes.
+    #[serde(default)]
+    pub fronts_passed: Option<usize>,
     /// Seeds that guards exclude.
     pub seeds_outside_guards: usize,
 }
@@ -178,10 +181,10 @@ impl CoverageSummary {
     }
 
     /// How much of the region trajectories go from one front to the next, where that is too much to
-    /// tell of what is between.
+    /// tell of what is between, and where none comes to the first one.
     #[must_use]
     pub fn far(&self) -> Option<f64> {
-        self.longest_step.filter(|step| Coverage::is_far(*step))
+        Coverage::far(self.longest_step?, self.fronts_passed?)
     }
 }
 
@@ -219,7 +222,7 @@ impl SweptErrors {
             (0, _) => return other,
             _ => {}
         }
-        Self {
+        let all = Self {
             trajectories: self.trajectories + other.trajectories,
             failed: self.failed + other.failed,
             points: self.points + other.points,
@@ -229,10 +232,20 @@ impl SweptErrors {
             control: largest(self.control, other.control),
             slid_along_manifold: larger(self.slid_along_manifold, other.slid_along_manifold),
             ended_differently: self.ended_differently + other.ended_differently,
-            met: all_met(&[self.met, other.met]),
             seconds: self.seconds + other.seconds,
             ..self
-        }
+        };
+        let met = all.value.and_then(|value| {
+            let worst = value.max.unwrap_or(f64::INFINITY);
+            let trajectories = (all.trajectories, all.ended_differently);
+            are_met(
+                worst,
+                all.asked,
+                trajectories,
+                (all.points, all.points_parted),
+            )
+        });
+        Self { met, ..all }
     }
 }
 
@@ -403,6 +416,7 @@ impl Session<'_> {
                 gaps_crowded: coverage.crowded,
                 widest_gap: finite(coverage.widest),
                 longest_step: finite(coverage.step),
+                fronts_passed: Some(coverage.fronts),
                 seeds_outside_guards: coverage.outside_guards,
             },
             seed_value: plan.local.as_ref().and_then(|l| finite(l.seed_value)),

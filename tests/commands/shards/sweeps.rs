@@ -71,6 +71,7 @@ fn told(path: &Path) -> serde_json::Value {
         "trajectories_per_second",
         "rounds",
         "stiffness",
+        "trajectories_borrowed",
     ] {
         told.as_object_mut().unwrap().remove(name);
     }
@@ -178,22 +179,75 @@ fn parts_of_a_sweep_that_are_missing_are_named() {
     assert_eq!(entries(&folder), names);
 }
 
-/// Where seeds do not suffice, each part has its share of them, and says so.
+/// `max_seeds` counts for each part: parts of a sweep that it does not end are the sweep, wherever the
+/// seeds lie; where it ends one, that is said.
 #[test]
-fn parts_of_a_sweep_share_the_cap() {
+fn parts_of_a_sweep_each_have_the_cap() {
     let folder = scratch("shards_sweep_cap");
-    let text = BOX.replace("spacing = 0.05", "spacing = 0.01, max_seeds = 501");
+    // Nearly all seeds lie in one corner.
+    let text = BOX
+        .replace(
+            "cos(3*x) + 0.5*y^2*(1 + x)",
+            "exp(-60*((x - 0.7)^2 + (y - 0.7)^2))*cos(12*x) + 0.05*(x^2 + y^2)",
+        )
+        .replace("spacing = 0.05", "spacing = 0.1, max_seeds = 4000");
     std::fs::write(folder.join("scene.toml"), text).unwrap();
     let command = ["shoot-out", "scene.toml", "--backend", "cpu"];
+    done(&folder, &[&command[..], &["--out", "one.h5"]].concat());
+    let all = merged(&folder, &shards(&folder, &command, 8), &[]);
+    let (_, rows) = trajectories(&all);
+    assert!((2000..4000).contains(&rows.len()), "{}", rows.len());
+    assert_eq!(told(&folder.join("one.h5")), told(&all));
+
+    let text = BOX.replace("spacing = 0.05", "spacing = 0.01, max_seeds = 501");
+    std::fs::write(folder.join("scene.toml"), text).unwrap();
     let own = ["--out", "p.h5", "--shard", "0/2"];
     let told = done(&folder, &[&command[..], &own].concat());
-    assert!(
-        told.contains("250 are this part's share of max_seeds"),
-        "{told}"
-    );
+    assert!(told.contains("max_seeds = 501 for each shard"), "{told}");
     let parts = shards(&folder, &command, 2);
     let all = Stored::open(merged(&folder, &parts, &[])).unwrap();
     let summary = all.run_summary().unwrap().unwrap();
-    assert_eq!(summary.trajectories, 501);
+    assert_eq!(summary.trajectories, 1002);
     assert!(summary.coverage.gaps_for_want_of_seeds > 0);
+}
+
+/// What is no sweep is refused: seeds that guards exclude, all of them, and a part in place of all.
+#[test]
+fn parts_of_nothing_and_parts_for_all_are_refused() {
+    let folder = scratch("shards_sweep_nothing");
+    let text = format!("{BOX}guards = {{ far = \"x > 50\" }}\n");
+    std::fs::write(folder.join("scene.toml"), text).unwrap();
+    let command = ["shoot-out", "scene.toml", "--backend", "cpu"];
+    let parts = shards(&folder, &command, 2);
+    let merge = ["merge", &parts[0], &parts[1], "--out", "all.h5"];
+    let (output, errors) = run(&folder, &merge);
+    assert_eq!(output.status.code(), Some(1), "{errors}");
+    assert!(errors.contains("seeds lie outside the guards"), "{errors}");
+    assert!(!folder.join("all.h5").exists());
+
+    std::fs::write(folder.join("scene.toml"), BOX).unwrap();
+    std::fs::write(folder.join("q.csv"), "x,y\n0.1,0.2\n").unwrap();
+    let parts = shards(&folder, &command, 2);
+    let solve = [
+        "solve",
+        "scene.toml",
+        "--points",
+        "q.csv",
+        "--backend",
+        "cpu",
+    ];
+    let from = ["--archive", &parts[0], "--out", "solved.h5"];
+    let errors = refused(&folder, &[&solve[..], &from].concat(), "solved.h5");
+    assert!(errors.contains("one shard's part"), "{errors}");
+    let (output, errors) = run(&folder, &["value", &parts[0], "--at", "x=0.1,y=0.2"]);
+    assert_eq!(output.status.code(), Some(0), "{errors}");
+    assert!(errors.contains("is shard 0 of 2"), "{errors}");
+
+    // The whole is done, whoever has made it.
+    let all = merged(&folder, &parts, &[]);
+    let again = ["--out", "all.h5", "--resume"];
+    let before = std::fs::read(&all).unwrap();
+    let told = done(&folder, &[&command[..], &again].concat());
+    assert!(told.contains("nothing is left to do"), "{told}");
+    assert!(before == std::fs::read(&all).unwrap());
 }

@@ -105,7 +105,7 @@ pub fn note_ended_early(stored: &Stored, terminal: &Terminal) {
     }
     if let Some(how) = stored.ended_early() {
         let path = stored.path.display();
-        terminal.note(&format!("{path}: its run was ended {how}"));
+        terminal.note(&format!("{path}: {how}"));
     }
 }
 

@@ -12,12 +12,15 @@ pub fn merged(merged: &Merged) -> String {
             .collect();
         let _ = write!(
             text,
-            ": {} states: {}; {} solutions on {} sheets",
+            ": {} states: {}; {} solutions",
             solved.states,
             statuses.join(", "),
             solved.solutions,
-            solved.sheets
         );
+        // Where states are missing nothing tells which of these are one.
+        if !merged.summary.stopped {
+            let _ = write!(text, " on {} sheets", solved.sheets);
+        }
     }
     let all = &merged.summary;
     if all.trajectories > 0 {

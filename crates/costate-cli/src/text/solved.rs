@@ -124,7 +124,12 @@ fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
         String::new()
     } else {
         let trajectories = done.outcome.swept.trajectories + answers.searched;
-        format!(" (first guesses from {trajectories} swept trajectories)")
+        match done.outcome.guesses {
+            0 => format!(" (first guesses from {trajectories} swept trajectories)"),
+            given => format!(
+                " (first guesses from {given} trajectories of the archive, and {trajectories} more)"
+            ),
+        }
     };
     lines.push(format!(
         "{:.2} s solving: {}, {:.1} integrations of a trajectory each{guess}",
@@ -328,8 +333,11 @@ fn covered_text(plan: &Plan, swept: &SweepReport) -> String {
         .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
         .map(|(_, n)| n)
         .sum();
-    let step = swept.coverage.step;
-    if Coverage::is_far(step) {
+    let c = &swept.coverage;
+    if c.fronts == 0 {
+        return "fronts NOT covered: no trajectory comes to the first one (shoot_out: a lower value_max, or more samples)".to_owned();
+    }
+    if let Some(step) = Coverage::far(c.step, c.fronts) {
         return format!(
             "fronts NOT covered: {}, and nothing is known of what is between (shoot_out: more samples, or a lower value_max)",
             far_text(step)

@@ -490,8 +490,9 @@ class Problem:
         value_max : float
             V up to which states count.
         counts : int or dict
-            Points along each axis of the grid that is returned (default: 101 in one and two states,
-            fewer in more). Not for a scene's own grid.
+            Points along each axis of the grid that is returned. Of a map to an error the default is 101 in
+            one and two states, and fewer in more; where the scene's ``[map]`` asks for a grid alone, V is
+            solved for at this one in its place.
         out : path
             The result file; without it there is none that lasts.
         **numerics
@@ -507,7 +508,7 @@ class Problem:
 
     def _mapped(self, error, value_max, counts, out, numerics, workers):
         problem = self
-        counts_of(self.states, counts)
+        counted = counts_of(self.states, counts)
         refuse_axes(self)
         changes: dict[str, Any] = {"homotopy": None, "feedback": None, "closed_loop": None}
         if error is not None or value_max is not None:
@@ -519,6 +520,8 @@ class Problem:
         there = _toml.loads(self.text)
         if "map" not in there and "map" not in changes:
             raise InputError("how exact a map? p.map(error=1e-3), or the problem's [map]")
+        if counts is not None and error is None and "error" not in there.get("map", {}):
+            changes.setdefault("map", {})["resolution"] = dict(zip(self.states, counted))
         changes = {k: v for k, v in changes.items() if v is not None or k in there}
         if changes:
             problem = self.having(**changes)

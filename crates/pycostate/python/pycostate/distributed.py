@@ -26,6 +26,7 @@ import numpy as np
 
 from . import _engine, _files, _options, _toml
 from ._places import Places
+from ._value import counts_of
 from .errors import CostateError, InputError, OutOfTime
 
 __all__ = ["Rounds", "Work", "map", "simulate", "solve"]
@@ -130,7 +131,7 @@ class Rounds:
         return [] if work is None else work.futures
 
     def cancel(self) -> None:
-        """Gives the map up."""
+        """Gives the map up: it ends soon, and :meth:`result` raises :class:`CostateError`."""
         self._crew.cancel()
 
     def result(self, timeout: float | None = None) -> Any:
@@ -160,6 +161,11 @@ class _Crew:
 
     def count(self) -> int:
         return len(self._client.scheduler_info()["workers"])
+
+    def look(self) -> None:
+        """The engine looks here, again and again: an exception ends what it does."""
+        if self._is_over:
+            raise CostateError("the map was given up")
 
     def cancel(self) -> None:
         self._is_over = True
@@ -296,19 +302,12 @@ def map(
         crew = _Crew(problem, numerics, _client(client), retries)
         work = Rounds(crew, lambda: problem._mapped(error, value_max, counts, out, numerics, crew))
         return work.result() if wait else work
-    if value_max is not None:
-        own["value_max"] = _options.number("value_max", value_max)
     if not (own or counts):
         raise InputError("what grid? distributed.map(p, client, counts=...), or the problem's [map]")
+    if value_max is not None:
+        own["value_max"] = _options.number("value_max", value_max)
     if counts is not None:
-        names = list(problem.states)
-        if isinstance(counts, dict):
-            counts = [counts[name] for name in names]
-        elif not isinstance(counts, (list, tuple)):
-            counts = [counts] * len(names)
-        if len(counts) != len(names):
-            raise InputError(f"counts = {counts!r}: one number, or one for each of {', '.join(names)}")
-        own["resolution"] = dict(zip(names, (_options.whole("counts", c, 1, 10_000_000) for c in counts)))
+        own["resolution"] = dict(zip(problem.states, counts_of(problem.states, counts)))
     problem = problem.having(map=own)
     asked = ("map", None, {})
     return _begun(problem, asked, numerics, client, (shards, folder, out, retries, wait), _map_of)
@@ -402,7 +401,10 @@ def _part(problem, what, x, options, numerics, shard, folder):
 
     if folder is not None:
         path = os.path.join(folder, "part-{}-of-{}.h5".format(*shard))
-        written = compute(path)
+        with warnings.catch_warnings():
+            # That is what the folder is for.
+            warnings.filterwarnings("ignore", message=".*is finished: nothing is left to do")
+            written = compute(path)
         return _whole(written) or written[0]
     with tempfile.TemporaryDirectory(prefix="pycostate-") as own:
         written = compute(os.path.join(own, "part.h5"))
