@@ -5,6 +5,7 @@ use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, parse, scene};
 use costate::low_level::model::Precision;
+use costate::low_level::sweep::Coverage;
 
 /// Gaps are judged in f32, in widths of the region: a few units of which the pendulum's fronts are
 /// long.
@@ -464,4 +465,26 @@ fn fronts_that_end_at_guards_need_few_seeds() {
     let coverage = &sweep.report.coverage;
     assert_eq!((coverage.uncovered, coverage.indistinguishable), (0, 0));
     assert!((5000..10_000).contains(&sweep.count()), "{}", sweep.count());
+}
+
+/// Where trajectories go far from one front to the next, or leave the region before the first one,
+/// fronts are not covered although no gap is left on them.
+#[test]
+fn fronts_far_apart_are_not_covered() {
+    let coverage = |value_max: f64, samples: usize| {
+        let mut model = scene("pendulum", &[]);
+        let shoot_out = model.shoot_out.as_mut().expect("a sweep");
+        (shoot_out.value_max, shoot_out.samples) = (Some(value_max), samples);
+        Sweep::of(&model, F64).report.coverage
+    };
+    let near = coverage(185.0, 200);
+    assert_eq!((near.gaps(), near.fronts), (0, 200));
+    assert!(near.step > 0.01 && near.step < 0.2, "{}", near.step);
+    assert_eq!(Coverage::far(near.step, near.fronts), None);
+    // Fewer fronts, further apart.
+    let far = coverage(185.0, 8);
+    assert!(far.step > 2.0 * near.step, "{}", far.step);
+    let none = coverage(1e9, 41);
+    assert_eq!((none.gaps(), none.fronts), (0, 0));
+    assert!(Coverage::far(none.step, none.fronts).is_some_and(|step| step > 0.5));
 }

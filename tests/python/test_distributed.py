@@ -100,6 +100,7 @@ def test_a_map_is_as_here(problem, client):
     same(problem.map(), distributed.map(problem, client, shards=3))
     fine = distributed.map(problem, client, counts=40)
     assert fine["V"].shape == (40, 40)
+    same(problem.map(counts=40), fine)
 
 
 def test_a_map_to_an_error_is_as_here(client, smooth, tmp_path):
@@ -119,6 +120,18 @@ def test_a_map_to_an_error_is_as_here(client, smooth, tmp_path):
     work.cancel()
     with pytest.raises(pycostate.CostateError, match="given up"):
         work.result()
+
+
+def test_a_map_that_is_given_up_ends(client):
+    """What is searched here, before there are rounds, ends too."""
+    pendulum = pycostate.Problem.load(ROOT / "scenarios" / "pendulum.toml").using(backend="cpu")
+    work = distributed.map(pendulum, client, error=1e-6, wait=False)
+    with pytest.raises(TimeoutError):
+        work.result(timeout=0.3)
+    work.cancel()
+    with pytest.raises(pycostate.CostateError, match="given up"):
+        work.result(timeout=20)
+    assert "done" in repr(work)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -68,9 +68,8 @@ fn of_array(
         (None, Some(_)) => return Err(ShardRefusal::Half { is: COUNT, not: ID }),
         (Some(id), Some(of)) => (id, of),
     };
-    // Tasks may be counted from any number: without it the shard would be another one.
-    let min = number(MIN)?.ok_or(ShardRefusal::Half { is: ID, not: MIN })?;
-    let step = number(STEP)?.unwrap_or(1);
+    // (Slurm tells the first one; counted from another number the last task would be refused.)
+    let (min, step) = (number(MIN)?.unwrap_or(0), number(STEP)?.unwrap_or(1));
     let refused = ShardRefusal::NotInTurn { id, of, min, step };
     let place = id
         .checked_sub(min)
@@ -99,6 +98,11 @@ mod tests {
         assert_eq!(of_variables(&[]).unwrap(), None);
         assert_eq!(all("0", "16", "0").unwrap(), shard(0, 16));
         assert_eq!(all("16", "16", "1").unwrap(), shard(15, 16));
+        assert_eq!(
+            of_variables(&[(ID, "3"), (COUNT, "4")]).unwrap(),
+            shard(3, 4)
+        );
+        assert!(of_variables(&[(ID, "4"), (COUNT, "4")]).is_err());
         let steps = [(ID, "14"), (COUNT, "8"), (MIN, "0"), (STEP, "2")];
         assert_eq!(of_variables(&steps).unwrap(), shard(7, 8));
     }
@@ -110,8 +114,6 @@ mod tests {
         assert!(half.to_string().contains(COUNT), "{half}");
         let half = of_variables(&[(COUNT, "3"), (MIN, "0")]).unwrap_err();
         assert!(half.to_string().contains(ID), "{half}");
-        let half = of_variables(&[(ID, "3"), (COUNT, "4")]).unwrap_err();
-        assert!(half.to_string().contains(MIN), "{half}");
         for id in ["", "x", "-1", "1.5"] {
             assert!(of_variables(&[(ID, id), (COUNT, "4"), (MIN, "0")]).is_err());
         }
