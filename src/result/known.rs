@@ -12,7 +12,7 @@ use crate::trajectories::SweptTrajectories;
 pub enum StoredMapError {
     #[error(transparent)]
     Stored(#[from] StoredError),
-    #[error("{path} holds nothing to interpolate V from: neither /trajectories with costates nor /points nor /map (`costate run` or `costate homotopy` of its scene makes some; `--values-only` and `--no-trajectories` leave costates out)", path = path.display())]
+    #[error("{path} holds nothing to interpolate V from: neither /trajectories of an infinite horizon with costates nor /points nor /map (`costate run` or `costate homotopy` of its scene makes some; `--values-only` and `--no-trajectories` leave costates out)", path = path.display())]
     Empty { path: std::path::PathBuf },
     #[error("{path}: its run was ended, or shards of it are not there, before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end, or merge all shards again (what was solved is in /points and /map)", path = path.display())]
     Stopped { path: std::path::PathBuf },

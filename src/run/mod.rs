@@ -450,7 +450,7 @@ fn write_sampled(
 }
 
 /// Root attributes with the estimated errors, by a summary; those that are not known are left out.
-pub(super) fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
+fn write_errors(file: &ResultFile, summary: &RunSummary) -> Result<(), RunError> {
     let write = |before: &str, errors: [&Option<Quantiles>; 3]| -> Result<(), RunError> {
         for (name, of) in ["V", "p", "u"].into_iter().zip(errors) {
             let Some(of) = of else { continue };

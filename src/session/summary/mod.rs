@@ -59,7 +59,8 @@ fn largest(a: Option<Quantiles>, b: Option<Quantiles>) -> Option<Quantiles> {
     }
 }
 
-/// Whether all bounds were met; `None` where that is not known of one, and of the others no worse.
+/// Whether all bounds were met: false where one was not; `None` where one is not known, or there is
+/// none.
 pub(super) fn all_met(met: &[Option<bool>]) -> Option<bool> {
     if met.contains(&Some(false)) {
         return Some(false);
