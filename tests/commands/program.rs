@@ -329,7 +329,7 @@ fn trajectories_may_be_left_out() {
     let said = text(&fitted.stderr);
     assert_eq!(fitted.status.code(), Some(2), "{said}");
     assert!(
-        said.contains("neither /trajectories with costates"),
+        said.contains("neither /trajectories of an infinite horizon with costates"),
         "{said}"
     );
     assert!(said.contains("`--values-only`"), "{said}");
