@@ -148,7 +148,7 @@ impl Session<'_> {
         provenance: &Provenance,
     ) -> Result<Done, RunError> {
         let path = target(path)?;
-        let mut part = PartOfSweep::new(self, wanted, (pass.plan(), &path), provenance)?;
+        let part = PartOfSweep::new(self, wanted, (pass.plan(), &path), provenance)?;
         if let Some(summary) = part.finished(self)? {
             let outcome = pass.nothing();
             return Ok(Done {
@@ -159,7 +159,7 @@ impl Session<'_> {
                 path,
             });
         }
-        self.run_whole(wanted, pass, (&path, Some(&mut part)), provenance)
+        self.run_whole(wanted, pass, (&path, Some(part)), provenance)
     }
 
     /// The same of a pass of which nothing is kept before it is done.
@@ -167,7 +167,7 @@ impl Session<'_> {
         &self,
         wanted: &Wanted,
         pass: Pass<'_>,
-        (path, mut part): (&Path, Option<&mut PartOfSweep>),
+        (path, part): (&Path, Option<PartOfSweep>),
         provenance: &Provenance,
     ) -> Result<Done, RunError> {
         let model = &self.scene().model;
@@ -176,12 +176,8 @@ impl Session<'_> {
         }
         self.progress().begun(model, pass.plan(), self.backend());
 
-        let mut output = match &part {
-            Some(part) => Output {
-                file: part.create(path)?,
-                path: path.to_owned(),
-                draft: None,
-            },
+        let mut output = match part {
+            Some(part) => Output::of_part(path, part)?,
             None => Output::begin(path, wanted.laws && laws::wanted(model))?,
         };
 
@@ -199,33 +195,14 @@ impl Session<'_> {
         })?;
         drop(writer);
         write_outcome(&mut output.file, &outcome, model, &schema)?;
-        match &mut part {
-            Some(part) => {
-                let done = (outcome.swept.trajectories, outcome.stopped);
-                output.path = part.note(self, &mut output.file, done)?;
-            }
-            None if outcome.stopped => output.mark_stopped(self)?,
-            None => {}
-        }
+        output.note(self, &outcome)?;
 
-        let Output {
-            mut path,
-            draft,
-            file,
-        } = output;
         let record = self.record_of(&outcome.plan, provenance);
-        record.write(&file)?;
-        let mut summary = self.summary(&outcome, &path, provenance.seconds());
-        write_errors(&file, &summary)?;
-        file.attribute("summary", in_json(&summary))?;
-        let there = file.finish()?;
-        if let Some(part) = part {
-            // Beside its name, where another shard has come there meanwhile; that of a draft is hidden.
-            path = there;
-            if !outcome.stopped {
-                part.done();
-            }
-        }
+        record.write(&output.file)?;
+        let mut summary = self.summary(&outcome, &output.path, provenance.seconds());
+        write_errors(&output.file, &summary)?;
+        output.file.attribute("summary", in_json(&summary))?;
+        let (mut path, draft) = output.finish(outcome.stopped)?;
         self.progress().finished(Finished::Solved(&outcome, model));
 
         let laws = match draft {
@@ -302,9 +279,24 @@ struct Output {
     /// What holds the file while laws are added to it; without any the file is under its own name
     /// when it is finished.
     draft: Option<Draft>,
+    /// What the file is a part of.
+    part: Option<PartOfSweep>,
 }
 
 impl Output {
+    /// Begins the file of a part of a sweep.
+    ///
+    /// # Errors
+    /// Where no file can be written there.
+    fn of_part(path: &Path, part: PartOfSweep) -> Result<Self, RunError> {
+        Ok(Self {
+            path: path.to_owned(),
+            file: part.create(path)?,
+            draft: None,
+            part: Some(part),
+        })
+    }
+
     /// Begins a file; `extended`: laws will be added to it.
     ///
     /// # Errors
@@ -317,14 +309,27 @@ impl Output {
             Some(draft) => ResultFile::create(draft.hidden())?,
             None => ResultFile::create(&path)?,
         };
-        Ok(Self { path, file, draft })
+        Ok(Self {
+            path,
+            file,
+            draft,
+            part: None,
+        })
     }
 
-    /// Notes that the run was ended before everything was done.
+    /// Notes in the file what it is a part of, and where the run was ended before everything was done.
     ///
     /// # Errors
     /// Those of writing.
-    fn mark_stopped(&mut self, session: &Session<'_>) -> Result<(), RunError> {
+    fn note(&mut self, session: &Session<'_>, outcome: &Outcome) -> Result<(), RunError> {
+        if let Some(part) = &mut self.part {
+            let done = (outcome.swept.trajectories, outcome.stopped);
+            self.path = part.note(session, &mut self.file, done)?;
+            return Ok(());
+        }
+        if !outcome.stopped {
+            return Ok(());
+        }
         self.file.attribute("stopped", 1i64)?;
         self.path = path_of_stopped(&self.path);
         note_replaced(session, &self.path);
@@ -333,6 +338,23 @@ impl Output {
             None => self.file.rename(self.path.clone()),
         }
         Ok(())
+    }
+
+    /// Finishes the file: its name, and what holds it while laws are added.
+    ///
+    /// # Errors
+    /// Those of writing.
+    fn finish(self, stopped: bool) -> Result<(PathBuf, Option<Draft>), RunError> {
+        let there = self.file.finish()?;
+        let Some(part) = self.part else {
+            // (That of a draft is hidden.)
+            return Ok((self.path, self.draft));
+        };
+        if !stopped {
+            part.done();
+        }
+        // Beside its name, where another shard has come there meanwhile.
+        Ok((there, None))
     }
 }
 
