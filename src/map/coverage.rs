@@ -62,6 +62,8 @@ pub struct Fronts {
     /// How much of the region trajectories go from one front to the next, where that is too much to
     /// tell of what is between.
     pub far: Option<f64>,
+    /// Whether trajectories that end outside the region are not swept: on a finite horizon.
+    pub end_inside: bool,
     /// Trajectories whose integration failed.
     pub failed: u64,
     /// V below which there are no gaps; 0 where it is not known.
@@ -77,6 +79,7 @@ impl Fronts {
             gaps: known.sweep.gaps.unwrap_or(u64::MAX),
             widest: known.sweep.widest,
             far: known.sweep.far,
+            end_inside: plan.sampling == Sampling::Time,
             failed: known.sweep.failed,
             below: 0.0,
         };
@@ -96,7 +99,7 @@ impl Fronts {
     }
 
     fn are_covered(&self) -> bool {
-        self.gaps == 0 && self.failed == 0 && self.far.is_none()
+        self.gaps == 0 && self.failed == 0 && self.far.is_none() && !self.end_inside
     }
 }
 

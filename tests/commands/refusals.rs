@@ -316,6 +316,32 @@ fn what_uncovered_fronts_cannot_show_is_said() {
             .contains("gaps remain"),
         "{json}"
     );
+    // Fronts without gaps tell nothing of what lies between two that are far apart.
+    let far = fine.replace("value_max = 1.0", "value_max = 3.0");
+    let (done, far) = run("far", &far.replace("samples = 10", "samples = 2"), None);
+    assert!(String::from_utf8_lossy(&done.stdout).contains("fronts NOT covered: trajectories go"));
+    let (text, json) = value(&far, "x=0.5,v=0.5");
+    assert!(
+        text.contains(WORDS) && json["coverage"] == "uncovered",
+        "{text}"
+    );
+    // On a finite horizon what ends outside the region is not swept.
+    const FINITE: &str = r#"
+states = { x = {} }
+controls = { u = {} }
+dynamics = { x = "u" }
+cost = { running = "0.5*u^2", terminal = "cos(3*x)", final_time = 0.5 }
+region = { x = [-1, 1] }
+shoot_out = { spacing = 0.05, samples = 12 }
+homotopy = { x = [-0.5, 0.5, 3] }
+"#;
+    let (done, finite) = run("finite", FINITE, None);
+    assert!(String::from_utf8_lossy(&done.stdout).contains("fronts covered:"));
+    let (text, json) = value(&finite, "x=0.5");
+    assert!(
+        text.contains("end in the region alone") && json["coverage"] == "searched",
+        "{text}"
+    );
     // Up to where its neighbours are near each other the same sweep has covered its fronts.
     let (text, json) = value(&capped, "x=0.15,v=0.1");
     assert!(

@@ -508,6 +508,9 @@ fn gaps(fronts: &Fronts) -> String {
     let mut text = match (fronts.gaps, fronts.far) {
         (u64::MAX, _) => "the file does not tell its gaps".to_owned(),
         (0, Some(step)) => far_text(step),
+        (0, None) if fronts.end_inside => {
+            "on a finite horizon trajectories are swept that end in the region alone".to_owned()
+        }
         (0, None) => format!("{} trajectories failed", fronts.failed),
         (n, _) => format!(
             "{n} gaps remain, the widest {:.2} of the region",
