@@ -3,7 +3,7 @@
 
 use super::{Known, ValueMap};
 use crate::backend::Status;
-use crate::sweep::{Plan, Sampling};
+use crate::sweep::{Far, Plan, Sampling};
 use crate::trajectories::SweptTrajectories;
 
 /// What a value's being the least rests on. The error estimate covers no sheet that was not found.
@@ -59,9 +59,10 @@ pub struct Fronts {
     /// Gaps wider than the spacing that remained, and the widest, in widths of the region.
     pub gaps: u64,
     pub widest: f64,
-    /// How much of the region trajectories go from one front to the next, where that is too much to
-    /// tell of what is between.
-    pub far: Option<f64>,
+    /// Whether fronts lie too far apart to tell of what is between them.
+    pub far: Option<Far>,
+    /// Whether parts of the sweep are not in the file.
+    pub lacks: bool,
     /// Whether trajectories that end outside the region are not swept: on a finite horizon.
     pub end_inside: bool,
     /// Trajectories whose integration failed.
@@ -79,6 +80,7 @@ impl Fronts {
             gaps: known.sweep.gaps.unwrap_or(u64::MAX),
             widest: known.sweep.widest,
             far: known.sweep.far,
+            lacks: known.sweep.lacks,
             end_inside: plan.sampling == Sampling::Time,
             failed: known.sweep.failed,
             below: 0.0,
@@ -86,7 +88,7 @@ impl Fronts {
         if let Some(swept) = known
             .swept
             .as_ref()
-            .filter(|_| !this.are_covered() && this.far.is_none())
+            .filter(|_| !this.are_covered() && this.far.is_none() && !this.lacks)
         {
             this.below = covered_below(swept, plan).unwrap_or(0.0);
         }
@@ -99,7 +101,7 @@ impl Fronts {
     }
 
     fn are_covered(&self) -> bool {
-        self.gaps == 0 && self.failed == 0 && self.far.is_none() && !self.end_inside
+        self.gaps == 0 && self.failed == 0 && self.far.is_none() && !self.end_inside && !self.lacks
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::Coverage;
 use super::pieces::Pieces;
+use crate::sweep::Far;
 use crate::trajectories::{SolvedGrid, SolvedStates, SweptTrajectories};
 
 /// What is known of the value function of a scene.
@@ -31,9 +32,10 @@ pub struct SweepRecord {
     pub gaps: Option<u64>,
     /// The widest, in widths of the region.
     pub widest: f64,
-    /// How much of the region trajectories go from one front to the next, where that is too much to
-    /// tell of what is between.
-    pub far: Option<f64>,
+    /// Whether fronts lie too far apart to tell of what is between them.
+    pub far: Option<Far>,
+    /// Whether parts of the sweep are not in the file.
+    pub lacks: bool,
     /// Trajectories whose integration failed.
     pub failed: u64,
 }
@@ -44,6 +46,7 @@ impl Default for SweepRecord {
             gaps: None,
             widest: f64::NAN,
             far: None,
+            lacks: false,
             failed: 0,
         }
     }

@@ -14,7 +14,7 @@ pub enum StoredMapError {
     Stored(#[from] StoredError),
     #[error("{path} holds nothing to interpolate V from: neither /trajectories of an infinite horizon with costates nor /points nor /map (`costate run` or `costate homotopy` of its scene makes some; `--values-only` and `--no-trajectories` leave costates out)", path = path.display())]
     Empty { path: std::path::PathBuf },
-    #[error("{path}: its run was ended, or shards of it are not there, before it was known which solutions lie on one sheet, so nothing is interpolated: run it to its end, or merge all shards again (what was solved is in /points and /map)", path = path.display())]
+    #[error("{path}: its run was ended before it was known which solutions lie on one sheet (or shards of it are not there), so nothing is interpolated: run it to its end, or merge all shards again (what was solved is in /points and /map)", path = path.display())]
     Stopped { path: std::path::PathBuf },
     #[error("{path}: its run was ended before anything was solved: run it to its end", path = path.display())]
     NothingDone { path: std::path::PathBuf },
@@ -76,7 +76,7 @@ impl Stored {
         let shards: Vec<String> = missing.into_iter().chain(unfinished).collect();
         if !shards.is_empty() {
             return Some(format!(
-                "not all shards are in it ({}): a cheaper solution may be missing, and V is not interpolated between solved states; merge again with all of them",
+                "not all shards are in it ({}): a cheaper solution may be missing, and V is interpolated between swept trajectories alone; merge again with all of them",
                 shards.join("; ")
             ));
         }
@@ -114,12 +114,10 @@ impl Stored {
             pieces: self.map_pieces()?,
             beyond: self.map_beyond()?,
             coverage: Some(self.map_coverage()),
-            // What the parts of others cover is not known.
-            sweep: sweep_record(
-                summary
-                    .as_ref()
-                    .filter(|_| !stopped && self.shard().is_none()),
-            ),
+            sweep: SweepRecord {
+                lacks: self.shard().is_some() || self.has_attribute("shards_missing"),
+                ..sweep_record(summary.as_ref())
+            },
             searched: self.attribute("source").is_none() && !stopped,
             errors: summary.as_ref().and_then(own_errors),
         })
@@ -139,6 +137,7 @@ fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
         gaps: Some(coverage.gaps() as u64),
         widest: coverage.widest_gap.unwrap_or(f64::NAN),
         far: coverage.far(),
+        lacks: false,
         failed: failed.map(|n| *n as u64).sum(),
     }
 }

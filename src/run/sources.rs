@@ -78,6 +78,11 @@ pub fn archive(stored: &Stored, model: &Model) -> Result<GivenSweep, RunError> {
     if !swept.is_full() {
         return Err(refused("it has values alone (--values-only)"));
     }
+    if stored.has_attribute("shards_missing") {
+        return Err(refused(
+            "shards of it are missing: put all of them together (costate merge)",
+        ));
+    }
     if stored.has_attribute("stopped") {
         return Err(refused("its sweep was ended before it was done"));
     }

@@ -14,6 +14,7 @@ use super::observe::{self, Observed, Strip};
 use super::parts::{First, SurfacePart};
 use super::plan::Plan;
 use super::sample::{Sample, Sampler};
+use super::steps::Steps;
 use super::surface::Guarded;
 use crate::backend::cpu::{Simd, in_pool};
 use crate::backend::{Backend, BackendError, Kernel, Status, Trajectories, batch_limit};
@@ -53,9 +54,6 @@ const MOVED: u16 = 4;
 const HALVINGS: u16 = 56;
 const FOR_A_STATE: u16 = 4;
 
-/// Fronts are far apart where a trajectory goes more of the region from one to the next.
-const FAR: f64 = 0.5;
-
 /// How well the fronts are covered.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Coverage {
@@ -68,11 +66,8 @@ pub struct Coverage {
     pub crowded: usize,
     /// The widest gap left among these, as a fraction of the region's box.
     pub widest: f64,
-    /// The longest way of a trajectory within the region from one front to the next, in widths of
-    /// the region: nothing is compared on it.
-    pub step: f64,
-    /// The most fronts that a trajectory passes.
-    pub fronts: usize,
+    /// How far trajectories go from one front to the next.
+    pub steps: Steps,
     /// Pairs looked at.
     pub pairs: usize,
     /// Seeds outside a guard, which were not swept.
@@ -84,13 +79,6 @@ impl Coverage {
     #[must_use]
     pub fn gaps(&self) -> usize {
         self.uncovered + self.indistinguishable + self.crowded
-    }
-
-    /// How much of the region trajectories go from one front to the next, where that is too much to
-    /// tell of what is between them, and where none comes to the first one.
-    #[must_use]
-    pub fn far(step: f64, fronts: usize) -> Option<f64> {
-        (step > FAR || fronts == 0).then_some(step)
     }
 }
 
@@ -487,21 +475,19 @@ impl<'a> Fronts<'a> {
                 .collect();
             let memory = || (observe::Scratch::default(), vec![0.0; width]);
             let seeds = &self.seeds;
-            let step = (strips.into_par_iter().enumerate())
+            let steps = (strips.into_par_iter().enumerate())
                 .map_init(memory, |(scratch, path), (k, (mut strip, slots))| {
                     observed.strip(plan, batch, k * STRIP, &mut strip, scratch);
-                    let mut longest = 0.0f64;
+                    let mut longest = Steps::default();
                     for (i, slot) in slots.iter_mut().enumerate() {
                         let i = k * STRIP + i;
                         record(plan, batch, i, path, slot);
-                        longest = longest.max(step(plan, &seeds[i * batch.dim..], batch, i));
+                        longest = longest.and(Steps::of(plan, &seeds[i * batch.dim..], batch, i));
                     }
                     longest
                 })
-                .reduce(|| 0.0, f64::max);
-            report.coverage.step = report.coverage.step.max(step);
-            let fronts = (0..count).map(|i| fronts(plan, batch, i)).max();
-            report.coverage.fronts = report.coverage.fronts.max(fronts.unwrap_or(0));
+                .reduce(Steps::default, Steps::and);
+            report.coverage.steps = report.coverage.steps.and(steps);
         }
         report.trajectories += count;
         report.steps += batch.steps.iter().map(|s| u64::from(*s)).sum::<u64>();
@@ -870,37 +856,6 @@ impl<'a> Fronts<'a> {
 /// The square of the distance between two parameters.
 fn square(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum()
-}
-
-/// How many fronts trajectory `i` of a batch has passed.
-fn fronts(plan: &Plan, batch: &Trajectories, i: usize) -> usize {
-    let mut levels = plan.inner..batch.levels;
-    levels
-        .position(|level| batch.sample(i, level)[0].is_nan())
-        .unwrap_or(batch.levels - plan.inner)
-}
-
-/// The longest way of trajectory `i` of a batch from one front to the next, of what lies in the
-/// region, in its widths.
-fn step(plan: &Plan, seed: &[f64], batch: &Trajectories, i: usize) -> f64 {
-    let n = plan.system.states;
-    let within = |k: usize, x: f64| match plan.periodic[k] {
-        true => x,
-        false => x.clamp(plan.region[k][0], plan.region[k][1]),
-    };
-    let way = |x: &[f64], y: &[f64]| {
-        (0..n)
-            .map(|k| (within(k, x[k]) - within(k, y[k])).abs() / plan.widths[k])
-            .fold(0.0, f64::max)
-    };
-    let passed = (plan.inner..plan.inner + fronts(plan, batch, i))
-        .map(|level| &batch.sample(i, level)[1..=n]);
-    let (mut longest, mut at) = (0.0f64, &seed[..n]);
-    for x in passed.chain([&batch.end[i * batch.dim..][..n]]) {
-        longest = longest.max(way(at, x));
-        at = x;
-    }
-    longest
 }
 
 /// Keeps what the neighbours of trajectory `i` of a batch are compared with; `path` is memory.

@@ -14,6 +14,7 @@ mod parts;
 mod paths;
 mod plan;
 mod sample;
+mod steps;
 pub mod stiffness;
 mod surface;
 
@@ -28,4 +29,5 @@ pub use plan::{
     AT_GUARD, Choices, FOLD_STATUS, GUARD_STATUS, Numerics, Plan, PlanError, Sampling, spread_over,
 };
 pub use sample::{Kept, Sample};
+pub use steps::{Far, Steps};
 pub use surface::{Surface, holds as guard_holds};

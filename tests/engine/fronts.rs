@@ -5,7 +5,7 @@ use crate::common_oracles;
 
 use common_oracles::{Asked, F32, F64, Sweep, parse, scene};
 use costate::low_level::model::Precision;
-use costate::low_level::sweep::Coverage;
+use costate::low_level::sweep::Far;
 
 /// Gaps are judged in f32, in widths of the region: a few units of which the pendulum's fronts are
 /// long.
@@ -478,13 +478,36 @@ fn fronts_far_apart_are_not_covered() {
         Sweep::of(&model, F64).report.coverage
     };
     let near = coverage(185.0, 200);
-    assert_eq!((near.gaps(), near.fronts), (0, 200));
-    assert!(near.step > 0.01 && near.step < 0.2, "{}", near.step);
-    assert_eq!(Coverage::far(near.step, near.fronts), None);
+    assert_eq!((near.gaps(), near.steps.fronts), (0, 200));
+    let step = near.steps.longest;
+    assert!(step > 0.01 && step < 0.2, "{step}");
+    assert_eq!(near.steps.far(), None);
     // Fewer fronts, further apart.
-    let far = coverage(185.0, 8);
-    assert!(far.step > 2.0 * near.step, "{}", far.step);
+    let far = coverage(185.0, 8).steps;
+    assert!(far.longest > 2.0 * step, "{}", far.longest);
     let none = coverage(1e9, 41);
-    assert_eq!((none.gaps(), none.fronts), (0, 0));
-    assert!(Coverage::far(none.step, none.fronts).is_some_and(|step| step > 0.5));
+    assert_eq!((none.gaps(), none.steps.far()), (0, Some(Far::NoFronts)));
+
+    // Nearly all leave the region, or end at a guard, before the first front.
+    for (margin, guards) in [
+        (0, ""),
+        (1, "guards = { a = \"x < 0.9\", b = \"x > -0.9\" }"),
+    ] {
+        let model = parse(&format!(
+            r#"
+            states = {{ x = {{}}, y = {{}} }}
+            controls = {{ u = {{}}, w = {{}} }}
+            dynamics = {{ x = "-x + u", y = "-y + w" }}
+            cost = {{ running = "0.5*(0.1*x^2 + 100*y^2 + u^2 + 10*w^2)" }}
+            equilibrium = {{ x = 0, y = 0, u = 0, w = 0 }}
+            region = {{ x = [-1, 1], y = [-1, 1] }}
+            shoot_out = {{ spacing = 0.2, samples = 10, value_max = 15, margin = {margin} }}
+            {guards}
+            "#
+        ));
+        let coverage = Sweep::of(&model, F64).report.coverage;
+        assert_eq!(coverage.gaps(), 0);
+        let alone = matches!(coverage.steps.far(), Some(Far::Alone(way)) if way > 0.4);
+        assert!(alone, "{:?}", coverage.steps);
+    }
 }

@@ -101,6 +101,8 @@ def test_a_map_is_as_here(problem, client):
     fine = distributed.map(problem, client, counts=40)
     assert fine["V"].shape == (40, 40)
     same(problem.map(counts=40), fine)
+    bare = problem.having(map=None)
+    same(bare.map(counts=9), distributed.map(bare, client, counts=9))
 
 
 def test_a_map_to_an_error_is_as_here(client, smooth, tmp_path):
@@ -131,7 +133,7 @@ def test_a_map_that_is_given_up_ends(client):
     work.cancel()
     with pytest.raises(pycostate.CostateError, match="given up"):
         work.result(timeout=20)
-    assert "done" in repr(work)
+    assert "given up" in repr(work)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -171,6 +173,10 @@ def test_what_is_wrong_is_told_at_once(problem, states, client):
         work.result(timeout=1e-3)
     same_v = work.result()["V"].values
     assert np.isfinite(same_v).all() and work.result() is work.result()
+    work = distributed.solve(problem, states, client, wait=False)
+    work.cancel()
+    with pytest.raises(pycostate.CostateError, match="given up"):
+        work.result(timeout=20)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

@@ -341,9 +341,7 @@ impl Figures {
                     None => "covered".to_owned(),
                     Some([shard, of]) => format!("covered in this part ({shard} of {of}, from 0)"),
                 },
-                (0, Some(step)) => {
-                    format!("{} of the region apart", significant(step, 3))
-                }
+                (0, Some(far)) => format!("not covered: {far}"),
                 _ => format!("{open} gaps left{widest}"),
             },
         );

@@ -91,7 +91,7 @@ pub enum MergeError {
         "{count} states are in no part, although no shard is missing: rows were lost from one; run all shards again"
     )]
     NoRows { count: usize },
-    #[error("{path}: /{group} is not as this program writes it, or rows of it are missing: run its shard again", path = path.display())]
+    #[error("{path}: /{group} is not as this program writes it, or lacks rows: run its shard again", path = path.display())]
     Damaged { path: PathBuf, group: &'static str },
     #[error(
         "{path} cannot be gone on with: {what} was another ({then}, and now {now}); leave --resume out to begin anew (in Python: name another folder)",

@@ -42,6 +42,8 @@ pub struct Layout {
     pub names: Vec<&'static str>,
     pub widths: Vec<usize>,
     whole: Vec<bool>,
+    /// Real numbers of 32 bits.
+    pub single: Vec<bool>,
 }
 
 impl Layout {
@@ -58,11 +60,13 @@ impl Layout {
             names,
             widths: Vec::new(),
             whole: Vec::new(),
+            single: Vec::new(),
         };
         for name in &this.names {
             let column = group.column(name)?;
             this.widths.push(column.width());
             this.whole.push(column.whole);
+            this.single.push(column.single);
         }
         Ok(this)
     }
@@ -78,6 +82,7 @@ impl Layout {
             names: names.to_vec(),
             widths: vec![1; names.len()],
             whole: vec![true; names.len()],
+            single: vec![false; names.len()],
         }
     }
 
@@ -91,6 +96,7 @@ impl Layout {
             names: places.iter().map(|k| self.names[*k]).collect(),
             widths: places.iter().map(|k| self.widths[*k]).collect(),
             whole: places.iter().map(|k| self.whole[*k]).collect(),
+            single: places.iter().map(|k| self.single[*k]).collect(),
         };
         (part, places)
     }
@@ -125,10 +131,11 @@ impl Rows {
         layout: &Layout,
         at_once: usize,
     ) -> Result<Self, StoredError> {
-        let columns = (layout.names.iter().zip(&layout.widths).zip(&layout.whole))
-            .map(|((name, width), whole)| {
+        let columns = (layout.names.iter().enumerate())
+            .map(|(k, name)| {
                 let column = group.column(name)?;
-                match column.width() == *width && column.whole == *whole {
+                let own = (column.width(), column.whole, column.single);
+                match own == (layout.widths[k], layout.whole[k], layout.single[k]) {
                     true => Ok(column),
                     false => Err(group.error(name, "not as the other files have it")),
                 }

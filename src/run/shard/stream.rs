@@ -51,6 +51,11 @@ impl Stream {
                 return Ok(None);
             };
             let layout = Layout::of(&group, own)?;
+            if let Some(name) =
+                (layout.names.iter().zip(&layout.single)).find(|(_, single)| **single)
+            {
+                return Err(group.error(name.0, "its numbers have 32 bits, not 64"));
+            }
             Ok(Some((Rows::new(&group, &layout, at_once)?, layout)))
         };
         let (place, _) = rows(&schema::SHARD_POINTS)?.ok_or_else(|| damaged("shard_points"))?;
@@ -70,6 +75,13 @@ impl Stream {
             _ => return Err(damaged("shard_sheets")),
         };
         let (trajectories, of_trajectories) = rows(&schema::TRAJECTORIES)?.unzip();
+        if let (Some(group), Some(samples)) = (
+            stored.group(&schema::TRAJECTORIES),
+            source.manifest.asked.samples,
+        ) && group.column("V")?.inner != [samples]
+        {
+            return Err(damaged("trajectories"));
+        }
         Ok(Self {
             place,
             points,
@@ -93,6 +105,7 @@ impl Stream {
             .into_iter()
             .all(|(block, states)| seen(block) == *states)
             && solutions.is_none_or(|(rows, _)| rows.at == rows.count)
+            && (self.trajectories.as_ref()).is_none_or(|rows| rows.at == rows.count)
     }
 
     /// The number of the present state among all; `None` at the end.

@@ -10,7 +10,7 @@ use super::source::Source;
 use super::whole::{Gaps, note_gaps, record};
 use super::{write_manifest, write_whole};
 use crate::hdf5::ResultFile;
-use crate::result::{ShardGroups, StoredError, TrajectorySchema};
+use crate::result::{ShardGroups, TrajectorySchema};
 use crate::schema;
 use crate::session::summary::{Quantiles, RunSummary, larger};
 use crate::session::{Kept, Session, SessionError, Wanted};
@@ -214,7 +214,6 @@ fn write_trajectories(
 ) -> Result<Vec<f64>, RunError> {
     let mut drift = Vec::new();
     let mut sink: Option<(Sink, Layout)> = None;
-    let mut single: Option<Vec<bool>> = None;
     let are_kept = sources
         .iter()
         .any(|s| s.stored.has_any(&[&schema::TRAJECTORIES]));
@@ -244,10 +243,7 @@ fn write_trajectories(
             continue;
         };
         let mut rows = Rows::new(&group, layout, AT_ONCE)?;
-        let own: Vec<bool> = (layout.names.iter())
-            .map(|name| Ok(group.column(name)?.single))
-            .collect::<Result<_, StoredError>>()?;
-        if rows.count != source.trajectories() || *single.get_or_insert(own.clone()) != own {
+        if rows.count != source.trajectories() {
             return Err(damaged());
         }
         let of_drift = layout.place("hamiltonian_drift");
@@ -325,6 +321,8 @@ fn together(parts: &[RunSummary]) -> RunSummary {
         here.seeds_outside_guards += there.seeds_outside_guards;
         here.widest_gap = larger(here.widest_gap, there.widest_gap);
         here.longest_step = larger(here.longest_step, there.longest_step);
+        let alone = larger(here.longest_without_front, there.longest_without_front);
+        here.longest_without_front = alone;
         here.fronts_passed = here.fronts_passed.max(there.fronts_passed);
         if part.trajectories > 0 {
             all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);

@@ -14,7 +14,7 @@ use crate::map::{Adaptive, Agreement};
 use crate::model::Model;
 use crate::numeric::quantile::median_p99_max;
 use crate::sweep::accuracy::{Spread, are_met};
-use crate::sweep::{Coverage, Plan, SurfacePart};
+use crate::sweep::{Far, Plan, Steps, SurfacePart};
 use crate::value::{Answers, PointStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -164,9 +164,12 @@ pub struct CoverageSummary {
     #[serde(default)]
     pub gaps_crowded: usize,
     pub widest_gap: Option<f64>,
-    /// The longest way of a trajectory from one front to the next, in widths of the region.
+    /// The longest way of a trajectory from one front to the next, in widths of the region; and of
+    /// one that comes to no front.
     #[serde(default)]
     pub longest_step: Option<f64>,
+    #[serde(default)]
+    pub longest_without_front: Option<f64>,
     /// The most fronts that a trajectory passes.
     #[serde(default)]
     pub fronts_passed: Option<usize>,
@@ -181,11 +184,15 @@ impl CoverageSummary {
         self.gaps_for_want_of_seeds + self.gaps_indistinguishable + self.gaps_crowded
     }
 
-    /// How much of the region trajectories go from one front to the next, where that is too much to
-    /// tell of what is between, and where none comes to the first one.
+    /// Whether fronts lie too far apart to tell of what is between them.
     #[must_use]
-    pub fn far(&self) -> Option<f64> {
-        Coverage::far(self.longest_step?, self.fronts_passed?)
+    pub fn far(&self) -> Option<Far> {
+        let steps = Steps {
+            longest: self.longest_step?,
+            alone: self.longest_without_front?,
+            fronts: self.fronts_passed?,
+        };
+        steps.far()
     }
 }
 
@@ -416,8 +423,9 @@ impl Session<'_> {
                 gaps_indistinguishable: coverage.indistinguishable,
                 gaps_crowded: coverage.crowded,
                 widest_gap: finite(coverage.widest),
-                longest_step: finite(coverage.step),
-                fronts_passed: Some(coverage.fronts),
+                longest_step: finite(coverage.steps.longest),
+                longest_without_front: finite(coverage.steps.alone),
+                fronts_passed: Some(coverage.steps.fronts),
                 seeds_outside_guards: coverage.outside_guards,
             },
             seed_value: plan.local.as_ref().and_then(|l| finite(l.seed_value)),

@@ -1,7 +1,7 @@
 //! First guesses from V on a grid: its greedy paths.
 
 use super::{Mesh, Progress, Survey};
-use crate::backend::BackendError;
+use crate::backend::{BackendError, Deadline};
 use crate::dynamic_programming::GridValue;
 use crate::shooting::{Path, Solver};
 use rayon::prelude::*;
@@ -113,7 +113,7 @@ impl Survey<'_> {
         grid: &GridValue,
         targets: &[usize],
     ) -> Result<Vec<Greedy>, BackendError> {
-        let flown = self.greedy_paths(grid, targets, 1);
+        let flown = self.greedy_paths(grid, (targets, 1), solver.deadline)?;
         let costs: Vec<Option<f64>> = flown
             .iter()
             .map(|f| f.as_ref().map(|(cost, _)| *cost))
@@ -128,7 +128,7 @@ impl Survey<'_> {
             })
             .map(|(t, _)| *t)
             .collect();
-        let fine = self.greedy_paths(grid, &rough, PARTS);
+        let fine = self.greedy_paths(grid, (&rough, PARTS), solver.deadline)?;
         let fine = (rough.into_iter().zip(fine)).filter_map(|(t, flown)| Some((t, flown?.1)));
         let reached = self.send_grown(solver, fine.collect(), 1.0)?;
         found.extend(reached.into_iter().filter_map(|(t, e)| Some((t, e?))));
@@ -149,19 +149,25 @@ impl Survey<'_> {
     fn greedy_paths(
         &self,
         grid: &GridValue,
-        targets: &[usize],
-        parts: usize,
-    ) -> Vec<Option<(f64, Path)>> {
+        (targets, parts): (&[usize], usize),
+        deadline: Deadline,
+    ) -> Result<Vec<Option<(f64, Path)>>, BackendError> {
         let starts: Vec<Vec<f64>> = targets.iter().map(|t| self.state(*t, 0)).collect();
         let terminal = self.plan.system.terminal.as_ref();
         let flown = |s: &Vec<f64>| {
+            // Among obstacles the way from one state alone may take a second.
+            if deadline.has_passed() {
+                return None;
+            }
             let (cost, mut path) = grid.greedy_in_parts(s, parts)?;
             if let Some(terminal) = terminal {
                 path.set_horizon(terminal.time);
             }
             Some((cost, path))
         };
-        starts.par_iter().map(flown).collect()
+        let paths = starts.par_iter().map(flown).collect();
+        deadline.check()?;
+        Ok(paths)
     }
 
     /// Solves from a path from each of some targets, with the shortest step to try; the extremals

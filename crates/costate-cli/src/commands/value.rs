@@ -7,7 +7,6 @@ use crate::common::{
 };
 use crate::error::{CliError, PlaceError};
 use crate::terminal::Terminal;
-use crate::text::far_text;
 use costate::backend::Backend;
 use costate::low_level::diagnostics::shorten;
 use costate::low_level::files::write_text;
@@ -506,8 +505,9 @@ fn coverage(value: &Value, fronts: &Fronts) -> Option<String> {
 /// The gaps that a sweep left, in words.
 fn gaps(fronts: &Fronts) -> String {
     let mut text = match (fronts.gaps, fronts.far) {
+        _ if fronts.lacks => "parts of the sweep are not in the file".to_owned(),
         (u64::MAX, _) => "the file does not tell its gaps".to_owned(),
-        (0, Some(step)) => far_text(step),
+        (0, Some(far)) => far.to_string(),
         (0, None) if fronts.end_inside => {
             "on a finite horizon trajectories are swept that end in the region alone".to_owned()
         }

@@ -1,7 +1,8 @@
 //! What was put together.
 
-use super::far_text;
+use costate::backend::Status;
 use costate::run::{Merged, listed};
+use costate::session::summary::RunSummary;
 use std::fmt::Write;
 
 pub fn merged(merged: &Merged) -> String {
@@ -24,25 +25,10 @@ pub fn merged(merged: &Merged) -> String {
     }
     let all = &merged.summary;
     if all.trajectories > 0 {
-        let c = &all.coverage;
-        let of_what = if all.stopped { "; in these " } else { "; " };
-        let _ = write!(
-            text,
-            ": {} trajectories{of_what}{} gaps wider than {} remain",
-            all.trajectories,
-            c.gaps(),
-            c.spacing
-        );
-        if c.gaps_for_want_of_seeds > 0 {
-            let _ = write!(
-                text,
-                " ({} for want of seeds or time: max_seeds counts for each shard)",
-                c.gaps_for_want_of_seeds
-            );
-        }
-        if let Some(step) = all.coverage.far() {
-            let _ = write!(text, "; {}", far_text(step));
-        }
+        let _ = write!(text, ": {} trajectories; {}", all.trajectories, fronts(all));
+    }
+    if merged.summary.error_met == Some(false) {
+        text += "\nthe error asked for was NOT met";
     }
     for (what, shards) in [
         ("missing", &merged.missing),
@@ -62,4 +48,36 @@ pub fn merged(merged: &Merged) -> String {
         text += "; the numbers of states stay in the parts, and are read from there";
     }
     text
+}
+
+/// How well the fronts of all parts are covered.
+fn fronts(all: &RunSummary) -> String {
+    let c = &all.coverage;
+    let failed: usize = (Status::ALL.iter())
+        .filter(|(status, _)| Status::FAILURES.contains(status))
+        .filter_map(|(_, name)| all.status.get(*name))
+        .sum();
+    let covered = format!("no neighbours are further apart than {}", c.spacing);
+    if c.gaps() > 0 {
+        let why = match c.gaps_for_want_of_seeds {
+            0 => String::new(),
+            some => {
+                format!(", {some} for want of seeds (max_seeds counts for each shard) or of time")
+            }
+        };
+        return format!(
+            "fronts NOT fully covered: {} gaps wider than {} remain{why}, the widest {:.3} of the region",
+            c.gaps(),
+            c.spacing,
+            c.widest_gap.unwrap_or(f64::INFINITY)
+        );
+    }
+    match c.far() {
+        _ if all.stopped => format!("fronts covered as far as they are there: {covered}"),
+        Some(far) => format!("fronts NOT covered: {far}"),
+        None if failed > 0 => format!(
+            "fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed"
+        ),
+        None => format!("fronts covered: {covered}"),
+    }
 }

@@ -20,8 +20,3 @@ pub fn counted(number: usize, thing: &str) -> String {
         _ => format!("{number} {thing}s"),
     }
 }
-
-/// Of fronts that lie far apart.
-pub fn far_text(step: f64) -> String {
-    format!("trajectories go {step:.2} of the region from one front to the next")
-}

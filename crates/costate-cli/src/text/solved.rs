@@ -1,10 +1,10 @@
 //! What a run prints: heading and summary.
 
-use super::{counted, estimates, far_text};
+use super::{counted, estimates};
 use costate::backend::{Backend, Status};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::median_p99_max;
-use costate::low_level::sweep::{Coverage, Plan, Sampling, SurfacePart, SweepReport};
+use costate::low_level::sweep::{Plan, Sampling, SurfacePart, SweepReport};
 use costate::low_level::value::{Answers, EqualCost, Evidence, PointStatus};
 use costate::session::summary::{by_status, relative_hamiltonian};
 use costate::session::{Estimates, Outcome};
@@ -98,6 +98,9 @@ pub fn text(done: &Solved<'_>) -> String {
 }
 
 fn answers_text(done: &Solved<'_>, answers: &Answers) -> Vec<String> {
+    if answers.targets.of_given.is_empty() && done.outcome.part.is_some() {
+        return vec!["no states: no block of them fell to this shard".to_owned()];
+    }
     let statuses = (by_status(answers).iter())
         .map(|(s, n)| format!("{n} {}", s.name().replace('_', " ")))
         .collect::<Vec<_>>();
@@ -284,7 +287,7 @@ fn sweep_text(plan: &Plan, swept: &SweepReport, estimates: &Estimates) -> Vec<St
     ));
     if swept.borrowed > 0 {
         lines.push(format!(
-            "{} more were swept to compare these with, which other parts report",
+            "{} more on edges that are shared were swept too: other parts report them",
             swept.borrowed
         ));
     }
@@ -333,14 +336,9 @@ fn covered_text(plan: &Plan, swept: &SweepReport) -> String {
         .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
         .map(|(_, n)| n)
         .sum();
-    let c = &swept.coverage;
-    if c.fronts == 0 {
-        return "fronts NOT covered: no trajectory comes to the first one (shoot_out: a lower value_max, or more samples)".to_owned();
-    }
-    if let Some(step) = Coverage::far(c.step, c.fronts) {
+    if let Some(far) = swept.coverage.steps.far() {
         return format!(
-            "fronts NOT covered: {}, and nothing is known of what is between (shoot_out: more samples, or a lower value_max)",
-            far_text(step)
+            "fronts NOT covered: {far}, and nothing is compared in between (shoot_out: more samples, or a lower value_max)"
         );
     }
     let covered = format!(

@@ -518,8 +518,8 @@ class Problem:
             }
             changes["map"] = {k: v for k, v in own.items() if v is not None}
         there = _toml.loads(self.text)
-        if "map" not in there and "map" not in changes:
-            raise InputError("how exact a map? p.map(error=1e-3), or the problem's [map]")
+        if "map" not in there and "map" not in changes and counts is None:
+            raise InputError("how exact a map? p.map(error=1e-3), p.map(counts=...), or the problem's [map]")
         if counts is not None and error is None and "error" not in there.get("map", {}):
             changes.setdefault("map", {})["resolution"] = dict(zip(self.states, counted))
         changes = {k: v for k, v in changes.items() if v is not None or k in there}

@@ -46,7 +46,7 @@ class Work:
         self._parts = [None] * shards
         #: The futures of the cluster, one a shard: those that are done again are replaced.
         self.futures = [submit(k, 0) for k in range(shards)]
-        self._made = None
+        self._made, self._is_over = None, False
 
     def __repr__(self):
         fetched = [part is not None for part in self._parts]
@@ -54,7 +54,8 @@ class Work:
         return f"<pycostate.distributed.Work: {done} of {len(self.futures)} shards done>"
 
     def cancel(self) -> None:
-        """Gives the work up."""
+        """Gives the work up: :meth:`result` raises :class:`CostateError` then."""
+        self._is_over = True
         self._client.cancel(self.futures)
 
     def result(self, timeout: float | None = None) -> Any:
@@ -64,9 +65,14 @@ class Work:
             self._made = self._finish(self._gathered(timeout))
         return self._made
 
+    def _look(self) -> None:
+        if self._is_over:
+            raise CostateError("the work was given up")
+
     def _gathered(self, timeout):
         from dask.distributed import as_completed
 
+        self._look()
         number = {f.key: k for k, f in enumerate(self.futures) if self._parts[k] is None}
         waiting = as_completed([self.futures[k] for k in number.values()], timeout=timeout)
         for future in waiting:
@@ -81,6 +87,7 @@ class Work:
                 # What a lost worker had in its memory alone is lost.
                 except Exception as error:
                     failure = error
+            self._look()
             if not _is_lost(failure) or self._tried[k] >= self._retries:
                 self.cancel()
                 if _is_lost(failure):
@@ -122,6 +129,7 @@ class Rounds:
 
     def __repr__(self):
         state = "done" if self._ended.is_set() else "under way"
+        state = "given up" if self._crew.is_over else state
         return f"<pycostate.distributed.Rounds: {state}, {self._crew.rounds} rounds>"
 
     @property
@@ -156,7 +164,7 @@ class _Crew:
     def __init__(self, problem, numerics, client, retries):
         self._problem, self._numerics = problem, numerics
         self._client, self._retries = client, retries
-        self._is_over = False
+        self.is_over = False
         self.rounds, self.work_now, self.error = 0, None, None
 
     def count(self) -> int:
@@ -164,11 +172,11 @@ class _Crew:
 
     def look(self) -> None:
         """The engine looks here, again and again: an exception ends what it does."""
-        if self._is_over:
+        if self.is_over:
             raise CostateError("the map was given up")
 
     def cancel(self) -> None:
-        self._is_over = True
+        self.is_over = True
         if self.work_now is not None:
             self.work_now.cancel()
 
@@ -176,7 +184,7 @@ class _Crew:
         self.rounds += 1
 
         def submit(k, tried):
-            if self._is_over:
+            if self.is_over:
                 raise _Lost("the map was given up")
             key = _key("map", k, tried)
             with warnings.catch_warnings():
@@ -190,7 +198,7 @@ class _Crew:
             self.work_now = Work(self._client, submit, len(tasks), self._retries, list)
             return self.work_now.result()
         except BaseException as error:
-            self.error = CostateError("the map was given up") if self._is_over else error
+            self.error = CostateError("the map was given up") if self.is_over else error
             raise
 
 
