@@ -16,8 +16,10 @@ pub struct Steps {
     pub longest: f64,
     /// Of those that come to no front.
     pub alone: f64,
-    /// The most fronts that a trajectory passes.
-    pub fronts: usize,
+    /// How many come to no front.
+    pub without: usize,
+    /// How many come to one.
+    pub with: usize,
 }
 
 impl Steps {
@@ -36,46 +38,49 @@ impl Steps {
         let passed = (plan.inner..batch.levels)
             .map(|level| &batch.sample(i, level)[1..=n])
             .take_while(|x| !x[0].is_nan());
-        let (mut longest, mut fronts, mut at) = (0.0f64, 0, &seed[..n]);
+        let (mut longest, mut passes, mut at) = (0.0f64, false, &seed[..n]);
         for x in passed {
             longest = longest.max(way(at, x));
-            fronts += 1;
+            passes = true;
             at = x;
         }
         longest = longest.max(way(at, &batch.end[i * batch.dim..][..n]));
-        match fronts {
-            0 => Self {
-                alone: longest,
+        match passes {
+            true => Self {
+                longest,
+                with: 1,
                 ..Self::default()
             },
-            _ => Self {
-                longest,
-                fronts,
+            false => Self {
+                alone: longest,
+                without: 1,
                 ..Self::default()
             },
         }
     }
 
-    /// The longer ones.
+    /// Those of both.
     #[must_use]
     pub(super) fn and(self, other: Self) -> Self {
         Self {
             longest: self.longest.max(other.longest),
             alone: self.alone.max(other.alone),
-            fronts: self.fronts.max(other.fronts),
+            without: self.without + other.without,
+            with: self.with + other.with,
         }
     }
 
     /// Whether fronts lie too far apart to tell of what is between them.
     #[must_use]
     pub fn far(&self) -> Option<Far> {
-        if self.fronts == 0 {
-            return Some(Far::NoFronts);
-        }
-        let alone = (self.alone > FAR_ALONE).then_some(Far::Alone(self.alone));
+        let alone = Far::Alone {
+            trajectories: self.without,
+            of: self.without + self.with,
+            way: self.alone,
+        };
         (self.longest > FAR)
             .then_some(Far::Apart(self.longest))
-            .or(alone)
+            .or((self.alone > FAR_ALONE || self.without > self.with).then_some(alone))
     }
 }
 
@@ -84,10 +89,12 @@ impl Steps {
 pub enum Far {
     /// Trajectories go so much of the region from one front to the next.
     Apart(f64),
-    /// Some go so much of it, and come to no front.
-    Alone(f64),
-    /// None comes to a front.
-    NoFronts,
+    /// Some come to no front, which go so much of it.
+    Alone {
+        trajectories: usize,
+        of: usize,
+        way: f64,
+    },
 }
 
 impl std::fmt::Display for Far {
@@ -97,11 +104,14 @@ impl std::fmt::Display for Far {
                 f,
                 "trajectories go {way:.2} of the region from one front to the next"
             ),
-            Self::Alone(way) => write!(
+            Self::Alone {
+                trajectories,
+                of,
+                way,
+            } => write!(
                 f,
-                "trajectories go {way:.2} of the region and come to no front"
+                "{trajectories} of {of} trajectories go up to {way:.2} of the region and come to no front"
             ),
-            Self::NoFronts => write!(f, "no trajectory comes to the first front"),
         }
     }
 }

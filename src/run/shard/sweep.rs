@@ -323,7 +323,17 @@ fn together(parts: &[RunSummary]) -> RunSummary {
         here.longest_step = larger(here.longest_step, there.longest_step);
         let alone = larger(here.longest_without_front, there.longest_without_front);
         here.longest_without_front = alone;
-        here.fronts_passed = here.fronts_passed.max(there.fronts_passed);
+        let sum = |a: Option<usize>, b: Option<usize>| Some(a? + b?);
+        let without = sum(
+            here.trajectories_without_front,
+            there.trajectories_without_front,
+        );
+        here.trajectories_without_front = without;
+        let with = sum(
+            here.trajectories_with_fronts,
+            there.trajectories_with_fronts,
+        );
+        here.trajectories_with_fronts = with;
         if part.trajectories > 0 {
             all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);
             let relative = all.hamiltonian_relative.largest(part.hamiltonian_relative);

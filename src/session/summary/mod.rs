@@ -170,9 +170,11 @@ pub struct CoverageSummary {
     pub longest_step: Option<f64>,
     #[serde(default)]
     pub longest_without_front: Option<f64>,
-    /// The most fronts that a trajectory passes.
+    /// Trajectories that come to no front, and to one.
     #[serde(default)]
-    pub fronts_passed: Option<usize>,
+    pub trajectories_without_front: Option<usize>,
+    #[serde(default)]
+    pub trajectories_with_fronts: Option<usize>,
     /// Seeds that guards exclude.
     pub seeds_outside_guards: usize,
 }
@@ -190,7 +192,8 @@ impl CoverageSummary {
         let steps = Steps {
             longest: self.longest_step?,
             alone: self.longest_without_front?,
-            fronts: self.fronts_passed?,
+            without: self.trajectories_without_front?,
+            with: self.trajectories_with_fronts?,
         };
         steps.far()
     }
@@ -425,7 +428,8 @@ impl Session<'_> {
                 widest_gap: finite(coverage.widest),
                 longest_step: finite(coverage.steps.longest),
                 longest_without_front: finite(coverage.steps.alone),
-                fronts_passed: Some(coverage.steps.fronts),
+                trajectories_without_front: Some(coverage.steps.without),
+                trajectories_with_fronts: Some(coverage.steps.with),
                 seeds_outside_guards: coverage.outside_guards,
             },
             seed_value: plan.local.as_ref().and_then(|l| finite(l.seed_value)),
