@@ -48,6 +48,15 @@ impl Stored {
         )
     }
 
+    /// Which shards a file that was put together of some lacks, in words.
+    pub fn shards_lacking(&self) -> Option<String> {
+        let shards = |name: &str| self.attribute(name).filter(|list| !list.is_empty());
+        let missing = shards("shards_missing").map(|list| format!("missing: {list}"));
+        let unfinished = shards("shards_unfinished").map(|list| format!("not finished: {list}"));
+        let all: Vec<String> = missing.into_iter().chain(unfinished).collect();
+        (!all.is_empty()).then(|| all.join("; "))
+    }
+
     /// Which shard's part it is, and of how many; `None` where it is no part.
     pub fn shard(&self) -> Option<(usize, usize)> {
         let text = self.attribute(super::MANIFEST)?;
@@ -70,14 +79,9 @@ impl Stored {
     /// What the file may lack, in words, where its run was ended before all was done, or not all
     /// shards of it are there.
     pub fn ended_early(&self) -> Option<String> {
-        let shards = |name: &str| self.attribute(name).filter(|list| !list.is_empty());
-        let missing = shards("shards_missing").map(|list| format!("missing: {list}"));
-        let unfinished = shards("shards_unfinished").map(|list| format!("not finished: {list}"));
-        let shards: Vec<String> = missing.into_iter().chain(unfinished).collect();
-        if !shards.is_empty() {
+        if let Some(shards) = self.shards_lacking() {
             return Some(format!(
-                "not all shards are in it ({}): a cheaper solution may be missing, and V is interpolated between swept trajectories alone; merge again with all of them",
-                shards.join("; ")
+                "not all shards are in it ({shards}): a cheaper solution may be missing, and V is interpolated between swept trajectories alone; merge again with all of them"
             ));
         }
         let stopped = self.has_attribute("stopped");

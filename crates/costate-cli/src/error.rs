@@ -222,7 +222,7 @@ pub enum ShardRefusal {
         "a shard's result is put together with others: name a result file (--out FILE.h5), not a table"
     )]
     Table,
-    #[error("not all states are there; {path} says which", path = path.display())]
+    #[error("not all shards are there; {path} says which", path = path.display())]
     Partial { path: PathBuf },
 }
 

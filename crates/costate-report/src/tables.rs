@@ -259,10 +259,19 @@ pub fn key_figures(source: &Source<'_>) -> Vec<(String, String)> {
             None
         }
     };
-    figures.add(
-        "Ended early",
-        summary.as_ref().map_or_else(String::new, ended_early),
-    );
+    if let Some((shard, of)) = source.stored.shard() {
+        figures.add(
+            "Shard",
+            format!("{shard} of {of} (from 0): what others have is not in it"),
+        );
+    }
+    match source.stored.shards_lacking() {
+        Some(shards) => figures.add("Shards that are not in it", shards),
+        None => figures.add(
+            "Ended early",
+            summary.as_ref().map_or_else(String::new, ended_early),
+        ),
+    }
     if let [first, ..] = source.stored.absent_parts() {
         let count = source.stored.absent_parts().len();
         let gone = format!("{count} ({first}): nothing is known of the states there");

@@ -20,7 +20,10 @@ pub fn merge(args: &MergeArgs) -> Result<(), CliError> {
     let merged = put_together(&args.parts, &args.out, options, &provenance, &terminal)?;
     terminal.say(&text::merged::merged(&merged))?;
     if args.print.json {
-        print_json(&merged.summary)?;
+        let mut all = serde_json::to_value(&merged.summary).map_err(std::io::Error::other)?;
+        all["shards_missing"] = serde_json::json!(merged.missing);
+        all["shards_unfinished"] = serde_json::json!(merged.unfinished);
+        print_json(&all)?;
     }
     match merged.missing.is_empty() && merged.unfinished.is_empty() {
         true => Ok(()),
