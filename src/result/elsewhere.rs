@@ -214,14 +214,16 @@ impl SolvedStates {
 impl SweptTrajectories {
     /// The same in this order.
     pub(crate) fn in_order(self, rows: &[usize]) -> Self {
-        let of = |all: &[f64]| taken(all, all.len() / self.count.max(1), rows);
+        let count = self.count.max(1);
+        // What is copied goes at once.
+        let of = |all: Vec<f64>| taken(&all, all.len() / count, rows);
         Self {
-            t: of(&self.t),
-            x: of(&self.x),
-            p: of(&self.p),
-            u: of(&self.u),
-            v: of(&self.v),
-            h: of(&self.h),
+            t: of(self.t),
+            x: of(self.x),
+            p: of(self.p),
+            u: of(self.u),
+            v: of(self.v),
+            h: of(self.h),
             status: taken(&self.status, 1, rows),
             sheet: taken(&self.sheet, 1, rows),
             ..self
