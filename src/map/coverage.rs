@@ -67,7 +67,7 @@ pub struct Fronts {
     pub end_inside: bool,
     /// Trajectories whose integration failed.
     pub failed: u64,
-    /// V below which there are no gaps; 0 where it is not known.
+    /// V below which there are no gaps; minus infinity where it is not known.
     pub below: f64,
 }
 
@@ -83,14 +83,14 @@ impl Fronts {
             lacks: known.sweep.lacks,
             end_inside: plan.sampling == Sampling::Time,
             failed: known.sweep.failed,
-            below: 0.0,
+            below: f64::NEG_INFINITY,
         };
         if let Some(swept) = known
             .swept
             .as_ref()
             .filter(|_| !this.are_covered() && this.far.is_none() && !this.lacks)
         {
-            this.below = covered_below(swept, plan).unwrap_or(0.0);
+            this.below = covered_below(swept, plan).unwrap_or(f64::NEG_INFINITY);
         }
         this
     }

@@ -85,7 +85,9 @@ fn no_hdf5(path: &Path, error: &Hdf5Error) -> String {
 fn cut_short(path: &Path) -> Option<String> {
     let told = files::length_told(&files::beginning(path).ok()?)?;
     let there = std::fs::metadata(path).ok()?.len();
-    (there < told).then(|| format!("it is cut short: {there} bytes of {told} are there"))
+    (there < told).then(|| {
+        format!("it begins as one, but is damaged or cut short ({there} bytes of {told} are there)")
+    })
 }
 
 /// An array of a file, row-major.

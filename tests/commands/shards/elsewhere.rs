@@ -229,5 +229,8 @@ fn what_a_virtual_whole_cannot_have() {
     let parts = shards(&folder, &["study", "study.toml", "--backend", "cpu"], 2);
     let merge = ["merge", &parts[0], &parts[1], "--virtual", "--out", "s.h5"];
     let errors = refused(&folder, &merge, "s.h5");
-    assert!(errors.contains("--virtual is for states"), "{errors}");
+    assert!(
+        errors.contains("--virtual is for parts of states"),
+        "{errors}"
+    );
 }

@@ -239,9 +239,6 @@ fn parts_of_nothing_and_parts_for_all_are_refused() {
     let from = ["--archive", &parts[0], "--out", "solved.h5"];
     let errors = refused(&folder, &[&solve[..], &from].concat(), "solved.h5");
     assert!(errors.contains("one shard's part"), "{errors}");
-    let (output, errors) = run(&folder, &["value", &parts[0], "--at", "x=0.1,y=0.2"]);
-    assert_eq!(output.status.code(), Some(0), "{errors}");
-    assert!(errors.contains("is shard 0 of 2"), "{errors}");
 
     // The whole is done, whoever has made it.
     let all = merged(&folder, &parts, &[]);
@@ -250,6 +247,22 @@ fn parts_of_nothing_and_parts_for_all_are_refused() {
     let told = done(&folder, &[&command[..], &again].concat());
     assert!(told.contains("nothing is left to do"), "{told}");
     assert!(before == std::fs::read(&all).unwrap());
+
+    std::fs::write(folder.join("scene.toml"), GUARDED).unwrap();
+    let parts = shards(&folder, &command, 2);
+    let mut known = 0;
+    for (k, part) in parts.iter().enumerate() {
+        let at = ["--at", "x=0.3,v=0.3,z=0.3"];
+        let (output, errors) = run(&folder, &[&["value", part.as_str()], &at[..]].concat());
+        assert!(errors.contains(&format!("is shard {k} of 2")), "{errors}");
+        let text = String::from_utf8_lossy(&output.stdout);
+        if text.contains("V =") {
+            let said = "parts of the sweep are not in the file";
+            assert!(text.contains(said), "{text}");
+            known += 1;
+        }
+    }
+    assert!(known > 0);
 }
 
 /// V around the trajectories of parts is that around those of the sweep, to the last digit, next to

@@ -74,10 +74,10 @@ fn fronts(all: &RunSummary) -> String {
     }
     match c.far() {
         _ if all.stopped => format!("fronts covered as far as they are there: {covered}"),
-        Some(far) => format!("fronts NOT covered: {far}"),
-        None if failed > 0 => format!(
+        _ if failed > 0 => format!(
             "fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed"
         ),
+        Some(far) => format!("fronts NOT covered: {far}"),
         None => format!("fronts covered: {covered}"),
     }
 }

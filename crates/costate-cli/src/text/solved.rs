@@ -336,21 +336,18 @@ fn covered_text(plan: &Plan, swept: &SweepReport) -> String {
         .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
         .map(|(_, n)| n)
         .sum();
-    if let Some(far) = swept.coverage.steps.far() {
-        return format!(
-            "fronts NOT covered: {far}, and nothing is compared in between (shoot_out: more samples, or a lower value_max)"
-        );
-    }
     let covered = format!(
         "no neighbours within the region are further apart than {}",
         plan.shoot_out.spacing
     );
-    if failed == 0 {
-        format!("fronts covered: {covered}")
-    } else {
-        format!(
+    match (failed, swept.coverage.steps.far()) {
+        (0, Some(far)) => format!(
+            "fronts NOT covered: {far}, and nothing is compared in between (shoot_out: more samples, or a lower value_max)"
+        ),
+        (0, None) => format!("fronts covered: {covered}"),
+        _ => format!(
             "fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed"
-        )
+        ),
     }
 }
 
