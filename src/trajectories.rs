@@ -1,8 +1,5 @@
 //! Trajectories and solved states as plain lists, which rooms hand each other.
 
-use rayon::prelude::*;
-use std::cmp::Ordering;
-
 /// Trajectories, every list row-major as in the result file: the trajectory slowest, then the
 /// sample, then the component. NaN is 'no value'.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -62,28 +59,6 @@ impl SweptTrajectories {
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.p.len() == self.x.len()
-    }
-
-    /// The same in an order that is told by the trajectories alone: files of the same ones in another
-    /// order are then alike.
-    #[must_use]
-    pub(crate) fn by_place(self) -> Self {
-        let width = |column: usize| column.checked_div(self.count).unwrap_or(0);
-        let (x, p) = (width(self.x.len()), width(self.p.len()));
-        let row = |k: usize| {
-            // The last samples, which lie next to the equilibrium, are there in all.
-            let x = self.x[k * x..][..x].iter().rev();
-            x.chain(&self.p[k * p..][..p])
-        };
-        let mut order: Vec<usize> = (0..self.count).collect();
-        order.par_sort_by(|a, b| {
-            let compared = row(*a).zip(row(*b)).map(|(a, b)| a.total_cmp(b));
-            compared
-                .into_iter()
-                .find(|o| o.is_ne())
-                .unwrap_or(Ordering::Equal)
-        });
-        self.in_order(&order)
     }
 }
 

@@ -52,7 +52,6 @@ use crate::local::{LocalErrors, LocalPolynomial};
 use crate::model::{MAP_ERROR_MAX, Model};
 use crate::program::Program;
 use crate::sweep::{Choices, Plan, PlanError, spread_over};
-use crate::trajectories::SweptTrajectories;
 use crate::value::nearest::{MOST_DIMENSIONS, Nearest, index};
 pub(crate) use guarded::GUARD_ROUNDING;
 use guarded::Guarded;
@@ -246,10 +245,6 @@ impl ValueMap {
             ..Choices::default()
         };
         let plan = Plan::new(model, hamiltonian, &Cpu::new(), choices)?;
-        let known = Known {
-            swept: known.swept.map(SweptTrajectories::by_place),
-            ..known
-        };
         let fronts = Fronts::new(&known, &plan);
         let sites = Sites::collect(model, hamiltonian, &plan, &known)?;
         let Known {

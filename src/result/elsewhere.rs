@@ -213,7 +213,7 @@ impl SolvedStates {
 
 impl SweptTrajectories {
     /// The same in this order.
-    pub(crate) fn in_order(self, rows: &[usize]) -> Self {
+    pub(super) fn in_order(self, rows: &[usize]) -> Self {
         let count = self.count.max(1);
         // What is copied goes at once.
         let of = |all: Vec<f64>| taken(&all, all.len() / count, rows);

@@ -1,6 +1,6 @@
 //! Sweeps by parts of the surface of seeds.
 
-use super::{done, entries, merged, points, refused, run, shards};
+use super::{done, entries, merged, refused, run, shards};
 use crate::common_commands::{scenario, scratch};
 use costate::low_level::result::Stored;
 use std::collections::BTreeMap;
@@ -264,28 +264,4 @@ fn parts_of_nothing_and_parts_for_all_are_refused() {
         }
     }
     assert!(known > 0);
-}
-
-/// V around the trajectories of parts is that around those of the sweep, to the last digit, next to
-/// folds too, where the choice of neighbours matters.
-#[test]
-fn the_value_of_parts_is_that_of_the_sweep() {
-    let folder = scratch("shards_sweep_value");
-    let text = std::fs::read_to_string(scenario("folding_game")).unwrap();
-    std::fs::write(folder.join("scene.toml"), text).unwrap();
-    let command = ["shoot-out", "scene.toml", "--backend", "cpu"];
-    done(&folder, &[&command[..], &["--out", "one.h5"]].concat());
-    let stored = Stored::open(folder.join("one.h5")).unwrap();
-    let model = &stored.scene.model;
-    let names: Vec<&str> = (model.states.iter())
-        .map(|state| state.variable.name.as_str())
-        .collect();
-    let ranges = [model.region[0], model.region[1]];
-    points(&folder.join("q.csv"), [names[0], names[1]], ranges, 500);
-    merged(&folder, &shards(&folder, &command, 3), &[]);
-    let value = |file: &str| done(&folder, &["value", file, "--points", "q.csv"]);
-    let one = value("one.h5");
-    let known = one.lines().filter(|line| line.ends_with("known")).count();
-    assert!(known > 250, "{known}");
-    assert_eq!(one, value("all.h5"));
 }
