@@ -1,7 +1,6 @@
 //! What a value map is made of, from a file.
 
 use super::{Stored, StoredError};
-use crate::backend::Status;
 use crate::map::{Known, MapError, SweepRecord, ValueMap};
 use crate::schema;
 use crate::session::summary::RunSummary;
@@ -134,15 +133,12 @@ fn sweep_record(summary: Option<&RunSummary>) -> SweepRecord {
         return SweepRecord::default();
     };
     let coverage = &summary.coverage;
-    let failed = (Status::ALL.iter())
-        .filter(|(status, _)| Status::FAILURES.contains(status))
-        .filter_map(|(_, name)| summary.status.get(*name));
     SweepRecord {
         gaps: Some(coverage.gaps() as u64),
         widest: coverage.widest_gap.unwrap_or(f64::NAN),
         far: coverage.far(),
         lacks: false,
-        failed: failed.map(|n| *n as u64).sum(),
+        failed: summary.failed() as u64,
     }
 }
 

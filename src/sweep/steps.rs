@@ -3,6 +3,7 @@
 
 use super::plan::Plan;
 use crate::backend::Trajectories;
+use serde::{Deserialize, Serialize};
 
 /// Fronts are far apart where a trajectory goes more of the region from one to the next.
 const FAR: f64 = 0.5;
@@ -10,15 +11,19 @@ const FAR: f64 = 0.5;
 const FAR_ALONE: f64 = 0.25;
 
 /// The longest ways of trajectories within the region, in its widths.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Steps {
     /// From one front to the next, from the seed to the first and from the last to the end.
+    #[serde(rename = "longest_step")]
     pub longest: f64,
     /// Of those that come to no front.
+    #[serde(rename = "longest_without_front")]
     pub alone: f64,
     /// How many come to no front.
+    #[serde(rename = "trajectories_without_front")]
     pub without: usize,
     /// How many come to one.
+    #[serde(rename = "trajectories_with_fronts")]
     pub with: usize,
 }
 
@@ -61,7 +66,7 @@ impl Steps {
 
     /// Those of both.
     #[must_use]
-    pub(super) fn and(self, other: Self) -> Self {
+    pub(crate) fn and(self, other: Self) -> Self {
         Self {
             longest: self.longest.max(other.longest),
             alone: self.alone.max(other.alone),

@@ -260,7 +260,7 @@ fn check(
     }
     let of = first.shards;
     let missing: Vec<usize> = (0..of).filter(|k| !at.contains_key(k)).collect();
-    let tells = matches!(first.of, Kind::States | Kind::Sweep);
+    let tells = first.of == Kind::States;
     let told = |s: &&Source| s.stored.has_attribute("stopped") || s.stored.has_attribute("summary");
     if let Some(source) = sources.iter().find(|s| tells && !told(s)) {
         let path = source.path();

@@ -75,11 +75,12 @@ impl Stream {
             _ => return Err(damaged("shard_sheets")),
         };
         let (trajectories, of_trajectories) = rows(&schema::TRAJECTORIES)?.unzip();
-        if let (Some(group), Some(samples)) = (
-            stored.group(&schema::TRAJECTORIES),
-            source.manifest.asked.samples,
-        ) && group.column("V")?.inner != [samples]
-        {
+        let samples = source.manifest.asked.samples;
+        let other = |layout: &Layout| {
+            let stored = layout.place("V").map(|v| layout.widths[v]);
+            samples.is_some() && stored != samples
+        };
+        if of_trajectories.as_ref().is_some_and(other) {
             return Err(damaged("trajectories"));
         }
         Ok(Self {

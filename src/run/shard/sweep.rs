@@ -320,20 +320,7 @@ fn together(parts: &[RunSummary]) -> RunSummary {
         here.gaps_crowded += there.gaps_crowded;
         here.seeds_outside_guards += there.seeds_outside_guards;
         here.widest_gap = larger(here.widest_gap, there.widest_gap);
-        here.longest_step = larger(here.longest_step, there.longest_step);
-        let alone = larger(here.longest_without_front, there.longest_without_front);
-        here.longest_without_front = alone;
-        let sum = |a: Option<usize>, b: Option<usize>| Some(a? + b?);
-        let without = sum(
-            here.trajectories_without_front,
-            there.trajectories_without_front,
-        );
-        here.trajectories_without_front = without;
-        let with = sum(
-            here.trajectories_with_fronts,
-            there.trajectories_with_fronts,
-        );
-        here.trajectories_with_fronts = with;
+        here.steps = here.steps.zip(there.steps).map(|(a, b)| a.and(b));
         if part.trajectories > 0 {
             all.hamiltonian = all.hamiltonian.largest(part.hamiltonian);
             let relative = all.hamiltonian_relative.largest(part.hamiltonian_relative);

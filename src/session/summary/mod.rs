@@ -10,6 +10,7 @@ pub use laws::{
 };
 
 use super::{Estimates, Outcome, Session};
+use crate::backend::Status;
 use crate::map::{Adaptive, Agreement};
 use crate::model::Model;
 use crate::numeric::quantile::median_p99_max;
@@ -164,17 +165,9 @@ pub struct CoverageSummary {
     #[serde(default)]
     pub gaps_crowded: usize,
     pub widest_gap: Option<f64>,
-    /// The longest way of a trajectory from one front to the next, in widths of the region; and of
-    /// one that comes to no front.
-    #[serde(default)]
-    pub longest_step: Option<f64>,
-    #[serde(default)]
-    pub longest_without_front: Option<f64>,
-    /// Trajectories that come to no front, and to one.
-    #[serde(default)]
-    pub trajectories_without_front: Option<usize>,
-    #[serde(default)]
-    pub trajectories_with_fronts: Option<usize>,
+    /// How far trajectories go from one front to the next.
+    #[serde(flatten)]
+    pub steps: Option<Steps>,
     /// Seeds that guards exclude.
     pub seeds_outside_guards: usize,
 }
@@ -189,13 +182,7 @@ impl CoverageSummary {
     /// Whether fronts lie too far apart to tell of what is between them.
     #[must_use]
     pub fn far(&self) -> Option<Far> {
-        let steps = Steps {
-            longest: self.longest_step?,
-            alone: self.longest_without_front?,
-            without: self.trajectories_without_front?,
-            with: self.trajectories_with_fronts?,
-        };
-        steps.far()
+        self.steps?.far()
     }
 }
 
@@ -295,6 +282,15 @@ impl SolvedErrors {
 }
 
 impl RunSummary {
+    /// Trajectories whose integration failed.
+    #[must_use]
+    pub fn failed(&self) -> usize {
+        (Status::ALL.iter())
+            .filter(|(status, _)| Status::FAILURES.contains(status))
+            .filter_map(|(_, name)| self.status.get(*name))
+            .sum()
+    }
+
     /// Whether the errors asked for were met, of those that were estimated; `None` where that is not
     /// known.
     #[must_use]
@@ -426,10 +422,7 @@ impl Session<'_> {
                 gaps_indistinguishable: coverage.indistinguishable,
                 gaps_crowded: coverage.crowded,
                 widest_gap: finite(coverage.widest),
-                longest_step: finite(coverage.steps.longest),
-                longest_without_front: finite(coverage.steps.alone),
-                trajectories_without_front: Some(coverage.steps.without),
-                trajectories_with_fronts: Some(coverage.steps.with),
+                steps: Some(coverage.steps),
                 seeds_outside_guards: coverage.outside_guards,
             },
             seed_value: plan.local.as_ref().and_then(|l| finite(l.seed_value)),

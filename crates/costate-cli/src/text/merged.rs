@@ -1,6 +1,6 @@
 //! What was put together.
 
-use costate::backend::Status;
+use super::{covered, no_further};
 use costate::run::{Merged, listed};
 use costate::session::summary::RunSummary;
 use std::fmt::Write;
@@ -53,11 +53,6 @@ pub fn merged(merged: &Merged) -> String {
 /// How well the fronts of all parts are covered.
 fn fronts(all: &RunSummary) -> String {
     let c = &all.coverage;
-    let failed: usize = (Status::ALL.iter())
-        .filter(|(status, _)| Status::FAILURES.contains(status))
-        .filter_map(|(_, name)| all.status.get(*name))
-        .sum();
-    let covered = format!("no neighbours are further apart than {}", c.spacing);
     if c.gaps() > 0 {
         let why = match c.gaps_for_want_of_seeds {
             0 => String::new(),
@@ -72,12 +67,11 @@ fn fronts(all: &RunSummary) -> String {
             c.widest_gap.unwrap_or(f64::INFINITY)
         );
     }
-    match c.far() {
-        _ if all.stopped => format!("fronts covered as far as they are there: {covered}"),
-        _ if failed > 0 => format!(
-            "fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed"
+    match all.stopped {
+        true => format!(
+            "fronts covered as far as they are there: {}",
+            no_further(c.spacing)
         ),
-        Some(far) => format!("fronts NOT covered: {far}"),
-        None => format!("fronts covered: {covered}"),
+        false => covered(c.spacing, all.failed(), c.far()),
     }
 }

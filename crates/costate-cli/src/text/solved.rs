@@ -1,6 +1,6 @@
 //! What a run prints: heading and summary.
 
-use super::{counted, estimates};
+use super::{counted, covered, estimates};
 use costate::backend::{Backend, Status};
 use costate::low_level::model::Model;
 use costate::low_level::numeric::quantile::median_p99_max;
@@ -336,19 +336,8 @@ fn covered_text(plan: &Plan, swept: &SweepReport) -> String {
         .filter(|(code, _)| Status::FAILURES.iter().any(|f| *f as i32 == **code))
         .map(|(_, n)| n)
         .sum();
-    let covered = format!(
-        "no neighbours within the region are further apart than {}",
-        plan.shoot_out.spacing
-    );
-    match (failed, swept.coverage.steps.far()) {
-        (0, Some(far)) => format!(
-            "fronts NOT covered: {far}, and nothing is compared in between (shoot_out: more samples, or a lower value_max)"
-        ),
-        (0, None) => format!("fronts covered: {covered}"),
-        _ => format!(
-            "fronts covered only as far as trajectories go: {covered}, but {failed} trajectories failed"
-        ),
-    }
+    let far = swept.coverage.steps.far();
+    covered(plan.shoot_out.spacing, failed, far)
 }
 
 /// Of fronts with gaps, and why these are left.
